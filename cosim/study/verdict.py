@@ -18,8 +18,7 @@ from hesr_model.friction.inputs import TAU_LOAD
 from hesr_model.friction.model import MIXED, FrictionModel
 from hesr_model.friction.trained_range import find_excess
 from hesr_model.inference.choice import CONSTANT, NONE, PLAIN, JointChoice, LawChoice
-from hesr_model.logs.signals import MOVING
-from hesr_model.rigid_body.residual import transform_all_records
+from hesr_model.rigid_body.residual import find_resting_speed, transform_all_records
 from hesr_model.robots.description import statements
 from hesr_model.support.typed_files import from_json, read_json, to_json, write_json
 
@@ -412,7 +411,7 @@ def _list_improvements(
             np.concatenate([getattr(record, quantity) for record in joint_records])
             for quantity in ("dq", "tau_load", "tau")
         )
-        if np.mean(np.abs(dq) < MOVING) < _MIN_REST_SHARE:
+        if np.mean(np.abs(dq) < find_resting_speed(joint_records)) < _MIN_REST_SHARE:
             resting.append(name)
         if np.std(load) < _MIN_LOAD_SPREAD * np.std(tau):
             constant_load.append(name)

@@ -16,16 +16,15 @@ import numpy as np
 
 from hesr_model.fitting.joint_rows import log_of_rows
 from hesr_model.friction.band import LEVEL, Band, shapes
-from hesr_model.friction.inputs import MOVING
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.records import predict_record
 from hesr_model.inference.covariance import blocks_of_time
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.residual import FrictionRecord, find_resting_speed
 from hesr_model.support.arrays import Array
 
 SLOW_SPEEDS = (0.01, 0.02, 0.04, 0.08, 0.16)  # [rad/s] candidates of v_slow
 MIN_RESTS = 10  # minimum for the width at rest
-_MIN_REST_DURATION = 0.5  # [s] minimum duration below `MOVING`
+_MIN_REST_DURATION = 0.5  # [s] minimum duration of a rest
 _TAIL_LEVELS = (0.8, 0.9, 0.98)  # quantiles that determine the tail, in addition to 95 %
 _TAIL_RANGE = (0.4, 1.2)  # of the exponent
 _DIFFERENCE_STEP = 1e-6
@@ -46,7 +45,9 @@ def calibrate_band(
         np.concatenate([getattr(record, name) for record in joint_records])
         for name in ("dq", "tau_load")
     )
-    has_rests = sum(_count_rests(record) for record in joint_records) >= MIN_RESTS
+    resting_speed = find_resting_speed(joint_records)
+    rest_count = sum(_count_rests(record, resting_speed) for record in joint_records)
+    has_rests = rest_count >= MIN_RESTS
     share_rows = slice(None, None, -(-len(errors) // _MAX_SHARE_ROWS))
     squares = errors[share_rows] ** 2
     best = (np.inf, SLOW_SPEEDS[0], np.zeros(5))
@@ -147,8 +148,8 @@ def fit_variance_shares(columns: Array, squares: Array, known_variance: Array) -
     return np.asarray(shares)
 
 
-def _count_rests(record: FrictionRecord) -> int:
-    is_slow = np.concatenate([[False], np.abs(record.dq) < MOVING, [False]])
+def _count_rests(record: FrictionRecord, resting_speed: float) -> int:
+    is_slow = np.concatenate([[False], np.abs(record.dq) < resting_speed, [False]])
     begins = np.flatnonzero(is_slow[1:] & ~is_slow[:-1])
     ends = np.flatnonzero(~is_slow[1:] & is_slow[:-1])
     return int(np.count_nonzero(record.t[ends - 1] - record.t[begins] >= _MIN_REST_DURATION))

@@ -27,8 +27,11 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record, rmse, training_error
 from hesr_model.inference.covariance import Covariance
-from hesr_model.logs.signals import MOVING
-from hesr_model.rigid_body.residual import FrictionRecord, transform_all_records
+from hesr_model.rigid_body.residual import (
+    FrictionRecord,
+    find_resting_speed,
+    transform_all_records,
+)
 from hesr_model.support.arrays import Array, Integers
 
 Nuisance = Literal["offset", "level"]
@@ -56,7 +59,8 @@ def estimate_nuisances(
         tau = np.concatenate([record.tau for record in joint_records])
         dq = np.concatenate([record.dq for record in joint_records])
         weights = np.bincount(log_of_row) / len(log_of_row)
-        columns = np.column_stack([np.tanh(dq / MOVING), dq, np.ones_like(dq)])
+        direction = np.tanh(dq / find_resting_speed(joint_records))
+        columns = np.column_stack([direction, dq, np.ones_like(dq)])
         for _ in range(_NUISANCE_ROUNDS):
             level, offset = _expand_to_rows(log_nuisances, log_of_row)
             coefficients = np.linalg.lstsq(level[:, None] * columns, tau - offset, rcond=None)[0]

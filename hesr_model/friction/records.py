@@ -9,7 +9,7 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict, record_start
 from hesr_model.friction.thermal import Thermal
 from hesr_model.logs.signals import moving, near_reversals
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.residual import FrictionRecord, find_resting_speed
 from hesr_model.support.arrays import Array, Mask
 
 
@@ -113,10 +113,12 @@ def score_band(
 
 
 def _classify_rows(joint_records: Sequence[FrictionRecord]) -> tuple[Mask, Mask]:
+    resting_speed = find_resting_speed(joint_records)
     is_near_reversal = np.concatenate(
-        [near_reversals(record.t, record.dq) for record in joint_records]
+        [near_reversals(record.t, record.dq, resting_speed) for record in joint_records]
     )
-    return is_near_reversal, np.concatenate([moving(record.dq) for record in joint_records])
+    is_moving = [moving(record.dq, resting_speed) for record in joint_records]
+    return is_near_reversal, np.concatenate(is_moving)
 
 
 def rmse(error: Array) -> float:

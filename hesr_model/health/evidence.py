@@ -1,5 +1,6 @@
 """Velocities derived from positions, and torques of the model."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -7,21 +8,29 @@ import numpy as np
 
 from hesr_model.errors import LogError
 from hesr_model.inference.covariance import standard_errors
+from hesr_model.logs.rest import (
+    MIN_TRAVEL,
+    MOVING,
+    find_resting_speeds,
+    find_resting_travel,
+)
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth
-from hesr_model.rigid_body.identification import MIN_PEAK_SPEED
 from hesr_model.robots.robot import Robot
 from hesr_model.robots.transmission import Coupling
 from hesr_model.support.arrays import Array, Mask, select_rows
 
-MIN_TRAVEL = 5e-3  # minimum travel of a moving joint [rad or m]
 _MAX_ROWS = 4000  # per log
 _KNEE_SPEED = 0.1  # smoothing speed of a sign [rad/s, m/s], at most a quarter of the peak
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SmoothPart:
-    """Smoothed part of a log, (N, n); `v`, `a` are derivatives of q, `dq` was logged."""
+    """Smoothed part of a log, (N, n); `v`, `a` are derivatives of q, `dq` was logged.
+
+    Joints rest up to `resting_travel` [rad, m] and `resting_speeds` [rad/s, m/s], of each or of all
+    joints; `find_rests` derives them from all logs.
+    """
 
     log: Log
     t: Array
@@ -30,12 +39,20 @@ class SmoothPart:
     a: Array
     dq: Array | None
     tau: Array
+    resting_travel: tuple[float, ...] | float = MIN_TRAVEL
+    resting_speeds: tuple[float, ...] | float = MOVING
 
     @cached_property
     def is_moving(self) -> Mask:
         """Joints (n,) that move."""
         speed = np.max(np.abs(self.v), axis=0)
-        return np.asarray((np.ptp(self.q, axis=0) > MIN_TRAVEL) & (speed > MIN_PEAK_SPEED))
+        has_travelled = np.ptp(self.q, axis=0) > np.asarray(self.resting_travel)
+        return np.asarray(has_travelled & (speed > np.asarray(self.resting_speeds)))
+
+    def find_resting_speed(self, j: int) -> float:
+        """Return the speed up to which a joint rests [rad/s, m/s]."""
+        speeds = self.resting_speeds
+        return speeds[j] if isinstance(speeds, tuple) else speeds
 
     @property
     def period(self) -> float:
@@ -45,6 +62,22 @@ class SmoothPart:
     def thin(self, max_rows: int) -> "SmoothPart":
         """Return at most `max_rows` rows, evenly spread."""
         return select_rows(self, slice(None, None, -(-len(self.t) // max_rows)))
+
+
+def find_rests(parts: Sequence[SmoothPart]) -> list[SmoothPart]:
+    """Return parts with the travel and speeds up to which joints rest, by all of them."""
+    if not parts:
+        return []
+    q = [part.log.q for part in parts]
+    speeds = find_resting_speeds([part.log.t for part in parts], q, [part.v for part in parts])
+    return [
+        replace(
+            part,
+            resting_travel=tuple(map(float, find_resting_travel(q))),
+            resting_speeds=tuple(map(float, speeds)),
+        )
+        for part in parts
+    ]
 
 
 def smooth_parts(log: Log, cutoff: float) -> list[SmoothPart]:

@@ -16,6 +16,7 @@ from hesr_model.health.evidence import (
     ModelTorques,
     SmoothPart,
     TorqueFit,
+    find_rests,
     smooth_parts,
     to_logged_side,
 )
@@ -64,6 +65,7 @@ def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | N
         for check in (positions.check_jumps, positions.check_steps, efforts.check_raw_signals):
             findings += add_log_name(log, check(log, description))
         parts += smooth_parts(log, description.log.filter_cutoff)
+    parts = find_rests(parts)
     if robot and (description.known is not None or robot.springs):
         robot = _inform_robot(robot, parts)
     torques = (
@@ -325,9 +327,10 @@ def find_unseen_effects(
             continue
         speeds = [examination.parts[k].v[:, j] for k in part_numbers]
         v = np.concatenate(speeds)
-        if sum(len(reversals(speed)) for speed in speeds) < _MIN_REVERSALS:
+        resting_speed = examination.parts[0].find_resting_speed(j)
+        if sum(len(reversals(speed, resting_speed)) for speed in speeds) < _MIN_REVERSALS:
             yield joint, f"fewer than {_MIN_REVERSALS} reversals: neither hysteresis nor an offset"
-        if np.mean(~moving(v)) < _MIN_REST_SHARE:
+        if np.mean(~moving(v, resting_speed)) < _MIN_REST_SHARE:
             yield joint, "hardly any rest: no stiction"
         if np.mean(np.abs(v) < _SLOW_SPEED_SHARE * np.max(np.abs(v))) < _MIN_SLOW_ROWS_SHARE:
             yield joint, "hardly any slow motion: no Stribeck effect"

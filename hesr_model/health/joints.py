@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from hesr_model.errors import LogError, RobotError
-from hesr_model.health.evidence import MIN_TRAVEL, SmoothPart
+from hesr_model.health.evidence import SmoothPart
 from hesr_model.logs.guess import guess_columns
 from hesr_model.logs.log_format import column_names
 from hesr_model.logs.log_table import LogTable
+from hesr_model.logs.rest import find_travelling
 from hesr_model.robots.description import RobotDescription
 from hesr_model.robots.model_file import find_arm, find_rest_positions, read_joints
 from hesr_model.robots.robot import RobotLike, describe_model, to_description
@@ -97,7 +98,7 @@ def find_resting_joints(
     if not parts or description.transmission:
         return {}
     q = np.concatenate([part.q for part in parts])
-    is_resting = np.ptp(q, axis=0) <= MIN_TRAVEL
+    is_resting = ~find_travelling([np.concatenate([part.log.q for part in parts])])
     positions = np.median(q, axis=0)
     resting_positions = {
         description.joints[j]: float(f"{positions[j]:.4g}") for j in np.flatnonzero(is_resting)

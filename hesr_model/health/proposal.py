@@ -407,14 +407,15 @@ def summary_rows(proposal: Proposal) -> Iterator[tuple[str, ...]]:
         for j in np.flatnonzero(part.is_moving):
             fit = fits.get(int(j))
             v = part.v[:, j]
+            resting_speed = part.find_resting_speed(j)
             joint_match = None if part.dq is None else match_velocity(v, part.dq[:, j], part.period)
             yield (
                 part.log.name if is_only_part else f"{part.log.name} from {part.t[0]:.3g} s",
                 proposal.description.joints[j],
                 f"{part.q[:, j].min():.2f} to {part.q[:, j].max():.2f}",
                 f"{np.max(np.abs(v)):.2f}",
-                str(len(reversals(v))),
-                f"{100 * np.mean(~moving(v)):.0f}",
+                str(len(reversals(v, resting_speed))),
+                f"{100 * np.mean(~moving(v, resting_speed)):.0f}",
                 "–" if joint_match is None else f"{joint_match.slope:.3f}",
                 "–" if joint_match is None else f"{1e3 * joint_match.lag:.0f}",
                 f"{fit.gravity.value:.2f} ± {fit.gravity.error:.2f}"

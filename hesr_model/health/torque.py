@@ -4,9 +4,11 @@ from collections.abc import Collection, Iterator, Mapping
 
 import numpy as np
 
+from hesr_model.equations.recurrence import recurrence
 from hesr_model.findings import Finding, build_joint_finding
 from hesr_model.health.evidence import ModelTorques, SmoothPart, TorqueFit, fit_joint_torque
 from hesr_model.health.velocity import join_units
+from hesr_model.logs.rest import find_resting_speeds
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.arrays import Array, Mask
@@ -16,6 +18,7 @@ _MIN_SIGNIFICANCE = 5.0  # significance threshold in standard errors
 _MAX_SCALE = 3.0  # plausible factor of gravity; real arms have 0.6 to 1.5
 _MIN_R2 = 0.8  # minimum R^2 for a scale estimate
 NO_SIGNAL_R2 = 0.35  # R^2 below which nothing is explained
+_DEFLECTION_SHARES = (0.03, 0.1, 0.3)  # of the travel, after which friction slides
 _MAX_COMPUTED_RESIDUAL = 0.1  # residual share of computed torques
 _MIN_GRAVITY_TO_RESIDUAL = 0.5  # gravity over the residual to judge its sign
 _MAX_WEIGHTLESS_SHARE = 0.1  # share of the model's gravity in weightless torques
@@ -31,12 +34,32 @@ def fit_joint_torques(part: SmoothPart, torques: ModelTorques) -> TorqueFits:
     return {int(j): fit_joint_torque(*(signal[:, j] for signal in signals)) for j in moving_joints}
 
 
+def _explain_by_hysteresis(part: SmoothPart, j: int) -> float:
+    """Return the share of a torque's variance that sliding after a deflection explains, R^2.
+
+    Friction that builds up over most of a short stroke hardly depends on the velocity.
+    """
+    v = part.v[:, j]
+    tau = part.tau[:, j]
+    travel = float(np.ptp(part.q[:, j]))
+    distances = np.abs(v) * np.diff(part.t, prepend=part.t[0])
+    best_r2 = 0.0
+    for share in _DEFLECTION_SHARES:
+        # x' = v / w - |v| x / w, exactly for speeds held over a step.
+        decay = np.exp(-distances / (share * travel))
+        deflection = recurrence(decay, (1.0 - decay) * np.sign(v), 0.0)
+        columns = np.column_stack([deflection, v, np.ones_like(v)])
+        residual = tau - columns @ np.linalg.lstsq(columns, tau, rcond=None)[0]
+        best_r2 = max(best_r2, 1.0 - float(np.var(residual) / np.var(tau)))
+    return best_r2
+
+
 def check_torque(
     part: SmoothPart, fits: TorqueFits, robot: Robot, blurred_joints: Collection[int] = ()
 ) -> Iterator[Finding]:
     """Check torques, but not the scale of `blurred_joints` joints."""
     for j, fit in fits.items():
-        if fit.r2 < NO_SIGNAL_R2:
+        if fit.r2 < NO_SIGNAL_R2 and _explain_by_hysteresis(part, j) < NO_SIGNAL_R2:
             level_count = len(np.unique(part.tau[:, j]))
             observation = (
                 f"model and friction explain {100 * max(fit.r2, 0):.0f} % of its torque, "
@@ -240,6 +263,7 @@ def _check_limits(part: SmoothPart, fits: TorqueFits, robot: Robot) -> Iterator[
 
 _SPEED_WINDOW = 0.1  # averaging window of a speed [s]
 _MIN_MOVING_SPEED = 0.05  # speed of a moving joint [rad/s; m/s]
+_MIN_MOVING_TO_RESTING = 2.5  # and of a slow joint, over the speed at which it rests
 _FINE_LEVELS = 200  # distinct values of a finely quantised signal
 _MAX_HELD_SHARE = 0.3  # share of repeated rows
 _MIN_STUCK_TIME = 0.3
@@ -254,12 +278,15 @@ def check_raw_signals(log: Log, description: RobotDescription) -> Iterator[Findi
     """Check raw signals for held, stuck and outlying values."""
     if len(log.t) < 2 * _MIN_STUCK_ROWS:
         return
-    is_moving = np.abs(_compute_speeds(log)) > _MIN_MOVING_SPEED
+    speeds = _compute_speeds(log)
+    resting_speeds = find_resting_speeds([log.t], [log.q], [speeds])
+    min_speeds = np.minimum(_MIN_MOVING_SPEED, _MIN_MOVING_TO_RESTING * resting_speeds)
+    is_moving = np.abs(speeds) > min_speeds
     is_fine = np.array([len(np.unique(column)) > _FINE_LEVELS for column in log.tau.T])
     yield from _check_repeated_rows(log, is_moving, is_fine)
     for j, joint in enumerate(description.joints):
         if log.dq is not None:
-            row = _find_constant_run(log, log.q[:, j], np.abs(log.dq[:, j]) > _MIN_MOVING_SPEED)
+            row = _find_constant_run(log, log.q[:, j], np.abs(log.dq[:, j]) > min_speeds[j])
             if row is not None:
                 yield _report_stuck(log, joint, "position", row, "its velocity is not zero")
         tau = log.tau[:, j]

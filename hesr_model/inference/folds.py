@@ -2,10 +2,11 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from hesr_model.logs.signals import Motion, reversals
+from hesr_model.logs.signals import Motion, resting_speeds, reversals
 from hesr_model.support.arrays import Array, Mask
 
 FOLD_COUNT = 5
@@ -29,9 +30,17 @@ class Fold:
     training: tuple[Motion, ...]
     judged: tuple[Mask, ...]
 
+    @cached_property
+    def resting_speeds(self) -> Array:
+        """Speeds (n,) [rad/s] at or below which joints rest."""
+        return resting_speeds(self.training)
+
     def reverses(self, j: int) -> bool:
         """Return whether a joint reverses in the training pieces."""
-        return any(len(reversals(piece.dq[:, j])) > 0 for piece in self.training)
+        return any(
+            len(reversals(piece.dq[:, j], float(self.resting_speeds[j]))) > 0
+            for piece in self.training
+        )
 
 
 def split_into_folds(motions: Sequence[Motion], count: int = FOLD_COUNT) -> list[Fold]:

@@ -11,10 +11,11 @@ import numpy as np
 from hesr_model.errors import LogError
 from hesr_model.logs.readers.formats import find_format
 from hesr_model.logs.readers.samples import LogSamples
+from hesr_model.logs.rest import MIN_TRAVEL, find_travelling
 from hesr_model.logs.tables import number_columns, write_table
 from hesr_model.robots.robot import RobotDescription, RobotLike, to_description
 from hesr_model.support import frames
-from hesr_model.support.arrays import Array, Integers, get_arrays, select_rows
+from hesr_model.support.arrays import Array, Integers, Mask, get_arrays, select_rows
 from hesr_model.support.files import PathArg, sha256, to_path, written_whole
 
 MIN_GAP_STEPS = 10.0  # gap in usual steps; friction states are unknown after it
@@ -26,7 +27,6 @@ _MIN_TWIST = 1e-12
 _MAX_TWIST = 0.1  # of a gear [rad], and over the joint's motion
 _UNITS = {"q": "rad", "dq": "rad/s", "tau": "N.m", "temperature": "degC"}
 _UNITS |= {"q_link": "rad", "q_cmd": "rad", "dq_cmd": "rad/s"}
-_MIN_TRAVEL = 5e-3  # minimum travel of a joint [rad or m]; encoder noise is smaller
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -279,14 +279,23 @@ def require_different(logs: Sequence[Log]) -> None:
 
 def require_moving(logs: Sequence[Log], joints: Sequence[str]) -> None:
     """Raise LogError if a joint moves in no log."""
-    travel: Array = np.array([np.ptp(log.q, axis=0) for log in logs]).max(axis=0)
-    require_travel(", ".join(log.where for log in logs), travel, joints)
+    q = [log.q for log in logs]
+    travel: Array = np.array([np.ptp(log_q, axis=0) for log_q in q]).max(axis=0)
+    require_travel(", ".join(log.where for log in logs), travel, joints, find_travelling(q))
 
 
-def require_travel(where: str, travel: Array, joints: Sequence[str]) -> None:
-    """Raise LogError if the `travel` (n,) [rad, m] of a joint is that of noise."""
-    for joint, joint_travel in zip(joints, travel, strict=True):
-        if joint_travel < _MIN_TRAVEL:
+def require_travel(
+    where: str, travel: Array, joints: Sequence[str], is_travelling: Mask | None = None
+) -> None:
+    """Raise LogError if the `travel` (n,) [rad, m] of a joint is that of noise.
+
+    `is_travelling` (n,) are the joints whose positions tell so; by default it is what exceeds
+    `MIN_TRAVEL`.
+    """
+    if is_travelling is None:
+        is_travelling = travel >= MIN_TRAVEL
+    for joint, joint_travel, travels in zip(joints, travel, is_travelling, strict=True):
+        if not travels:
             raise LogError(
                 f"{where}: the position of joint '{joint}' is "
                 f"constant (it moves by {joint_travel:.2g} rad); at least one log must move it.",
@@ -339,7 +348,7 @@ def _convert_q_link(
     for joint, twist, q_std in zip(
         description.joints, np.std(q - q_link, 0), np.std(q, 0), strict=True
     ):
-        if not _MIN_TWIST < twist < max(_MAX_TWIST * q_std, _MIN_TRAVEL):
+        if not _MIN_TWIST < twist < max(_MAX_TWIST * q_std, MIN_TRAVEL):
             raise LogError(
                 f"{path}: the link encoder of joint '{joint}' does not show the twist of a gear "
                 f"(difference to the motor {twist:.2g} rad RMS, motion {q_std:.2g}); check columns "

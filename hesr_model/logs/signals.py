@@ -1,6 +1,6 @@
 """The smooth motion of a log, and its moving, resting and reversing rows."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,22 +8,22 @@ import numpy as np
 
 from hesr_model.equations.low_pass import low_pass_signals
 from hesr_model.errors import LogError
+from hesr_model.logs.rest import MOVING, find_resting_speeds
 from hesr_model.logs.robot_log import Log, collect_parts
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, Integers, Mask, select_rows
 
-MOVING = 0.02  # speed [rad/s] below which a joint rests
 REVERSAL_WINDOW = 0.1  # half width [s] of the window around a reversal
 
 
-def moving(dq: Array) -> Mask:
-    """Return the moving rows of a velocity (N,) [rad/s]."""
-    return np.asarray(np.abs(dq) > MOVING)
+def moving(dq: Array, resting_speed: float | Array = MOVING) -> Mask:
+    """Return the rows of a velocity (N,) [rad/s] that are faster than a resting joint."""
+    return np.asarray(np.abs(dq) > resting_speed)
 
 
-def reversals(dq: Array) -> Integers:
-    """Return the rows of smallest |dq| at each change of sign."""
-    rows = np.flatnonzero(moving(dq))
+def reversals(dq: Array, resting_speed: float = MOVING) -> Integers:
+    """Return the rows of smallest |dq| at each change of sign, between moving rows."""
+    rows = np.flatnonzero(moving(dq, resting_speed))
     sign_changes = np.flatnonzero(np.diff(np.sign(dq[rows])))
     reversal_rows = [
         rows[k] + np.argmin(np.abs(dq[rows[k] : rows[k + 1] + 1])) for k in sign_changes
@@ -31,12 +31,21 @@ def reversals(dq: Array) -> Integers:
     return np.array(reversal_rows, dtype=np.intp)
 
 
-def near_reversals(t: Array, dq: Array) -> Mask:
+def near_reversals(t: Array, dq: Array, resting_speed: float = MOVING) -> Mask:
     """Return the rows within `REVERSAL_WINDOW` of a reversal."""
     is_near = np.zeros(len(t), dtype=bool)
-    for instant in t[reversals(dq)]:
+    for instant in t[reversals(dq, resting_speed)]:
         is_near |= np.abs(t - instant) <= REVERSAL_WINDOW
     return is_near
+
+
+def resting_speeds(motions: Sequence["Motion"]) -> Array:
+    """Return the speeds (n,) [rad/s] at or below which joints rest in all of some motions."""
+    return find_resting_speeds(
+        [motion.t for motion in motions],
+        [motion.q_raw for motion in motions],
+        [motion.dq for motion in motions],
+    )
 
 
 _FILTER_ORDER = 2

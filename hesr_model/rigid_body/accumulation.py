@@ -75,7 +75,9 @@ class StreamedProblem:
         base = self._base
         friction = self._friction
         identification.require_samples(where, self.rows, len(base) + int(np.sum(friction)))
-        identification.require_speed(where, self._peaks, robot)
+        identification.require_speed(
+            where, self._peaks, robot, np.full(robot.n, identification.MIN_PEAK_SPEED)
+        )
         scale = identification.compute_scale(robot, base, friction)
         with threadpool_limits(1):
             is_loose = identification.find_loose_columns(robot, base, friction)

@@ -13,7 +13,7 @@ import numpy as np
 from hesr_model.errors import FitError
 from hesr_model.inference.folds import MIN_FOLDS, Fold, split_into_folds, thin
 from hesr_model.logs.robot_log import Log, require_moving
-from hesr_model.logs.signals import MOVING, Motion, smooth_logs
+from hesr_model.logs.signals import Motion, smooth_logs
 from hesr_model.rigid_body import observations
 from hesr_model.rigid_body.identification import Kind, RigidBody, fix_parameters, identify_motions
 from hesr_model.robots.robot import LINK_PARAMETERS, Robot
@@ -32,7 +32,6 @@ _ERROR_NAMES: Mapping[Kind, str] = {
     "free": "a free one's",
 }
 _MIN_SECONDS = 3.0  # of motion; less has no folds
-_MOVING_SHARE = 0.1  # of the peak speed, for joints slower than `MOVING`
 _CLEAR = 2.0  # standard errors over folds
 _MAX_FREE_RATIO = 0.9  # error of a free body over that of a possible one, to be preferred
 _ROUNDING = 1e-4  # share of the torque, below which errors are equal
@@ -271,8 +270,7 @@ def _build_samples(
 
     Only moving rows are judged: at rest, friction of either sign hides the load.
     """
-    peaks = observations.peak_speeds(motions, robot)
-    min_speeds = np.minimum(MOVING, _MOVING_SHARE * peaks)
+    min_speeds = observations.find_min_speeds(motions, robot)
     samples = []
     for fold in folds:
         pairs = zip(motions, fold.judged, strict=True)

@@ -24,6 +24,7 @@ from hesr_model.support.arrays import Array, Integers, Mask
 from hesr_model.support.files import PathArg, to_path
 from hesr_model.support.frames import html_table
 from hesr_model.support.typed_files import Numbers, from_json, read_json, to_json, write_json
+from hesr_model.units import unit_of_joint
 
 RIGID_BODY_FORMAT = "hesr-rigid-body-1"
 Method = Literal["stacked", "paper"]
@@ -335,11 +336,12 @@ def _identify(
     rows = sum(len(motion.t) for motion in all_motions)
     require_samples(where, rows, len(base) + int(np.sum(friction)))
     has_inertia = any(k < robot.inertial for k in base)
+    # A resting joint rests up to `MIN_PEAK_SPEED`, a slow one only up to a part of its peak.
     require_speed(
         where,
         observations.peak_speeds(all_motions, robot),
         robot,
-        MIN_PEAK_SPEED if has_inertia else 0.0,
+        observations.find_min_speeds(all_motions, robot) if has_inertia else np.zeros(robot.n),
     )
 
     def build_blocks(columns: tuple[int, ...]) -> list[Block]:
@@ -472,11 +474,13 @@ def require_samples(where: str, row_count: int, unknown_count: int) -> None:
         )
 
 
-def require_speed(where: str, peaks: Array, robot: Robot, min_peak: float = MIN_PEAK_SPEED) -> None:
-    """Raise FitError if a joint's peak speed is not above `min_peak` [rad/s, m/s]."""
-    for joint, peak in zip(robot.description.joints, peaks, strict=True):
+def require_speed(where: str, peaks: Array, robot: Robot, min_peaks: Array) -> None:
+    """Raise FitError if a joint's peak speed is not above `min_peaks` (n,) [rad/s, m/s]."""
+    joints = robot.description.joints
+    for j, (peak, min_peak) in enumerate(zip(peaks, min_peaks, strict=True)):
         if not peak > min_peak:
+            unit = unit_of_joint("rad/s", is_prismatic=robot.slides[j])
             raise FitError(
-                f"{where}: joint '{joint}' is never faster than {peak:.2g} rad/s; at least one log "
-                f"must exceed {min_peak:g} rad/s."
+                f"{where}: joint '{joints[j]}' is never faster than {peak:.2g} {unit}; at least "
+                f"one log must exceed {min_peak:g} {unit}."
             )

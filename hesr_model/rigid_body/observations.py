@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from hesr_model.errors import FitError
+from hesr_model.logs.rest import find_resting_speeds
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.base_parameters import find_independent_offsets, known_columns
 from hesr_model.rigid_body.least_squares import Block
@@ -78,6 +79,15 @@ def friction_speeds(motions: Sequence[Motion], robot: Robot) -> Array:
 def peak_speeds(motions: Sequence[Motion], robot: Robot) -> Array:
     """Return the peak speeds (n,) of friction coordinates."""
     return np.asarray(np.max(np.abs(friction_speeds(motions, robot)), axis=0))
+
+
+def find_min_speeds(motions: Sequence[Motion], robot: Robot) -> Array:
+    """Return the speeds (n,) at or below which friction coordinates rest in all motions."""
+    return find_resting_speeds(
+        [motion.t for motion in motions],
+        [transform_motion(robot.description.coupling, motion.q_raw) for motion in motions],
+        [friction_speeds([motion], robot) for motion in motions],
+    )
 
 
 def slow_speeds(peaks: Array) -> Array:

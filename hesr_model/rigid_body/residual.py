@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from hesr_model.errors import LogError
+from hesr_model.logs.rest import find_resting_speeds
 from hesr_model.logs.robot_log import Log
-from hesr_model.logs.signals import MOVING, Motion, reversals, smooth
+from hesr_model.logs.signals import Motion, reversals, smooth
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot
 from hesr_model.robots.transmission import Coupling
@@ -137,12 +138,23 @@ def motion_records(motion: Motion, robot: Robot, body: RigidBody) -> list[Fricti
     ]
 
 
+def find_resting_speed(joint_records: Sequence[FrictionRecord]) -> float:
+    """Return the speed [rad/s, m/s] at or below which a joint rests in all of its records."""
+    speeds = find_resting_speeds(
+        [record.t for record in joint_records],
+        [record.q[:, None] for record in joint_records],
+        [record.dq[:, None] for record in joint_records],
+    )
+    return float(speeds[0])
+
+
 def require_reversals(joint_records: Sequence[FrictionRecord]) -> None:
     """Raise LogError if the velocity of a joint never reverses."""
-    if not any(len(reversals(record.dq)) for record in joint_records):
+    resting_speed = find_resting_speed(joint_records)
+    if not any(len(reversals(record.dq, resting_speed)) for record in joint_records):
         unit = unit_of_joint("rad/s", is_prismatic=joint_records[0].sliding)
         raise LogError(
             f"log {', '.join(record.log for record in joint_records)}: the velocity of joint "
-            f"'{joint_records[0].joint}' never reverses between speeds of more than {MOVING:g} "
-            f"{unit}; at least one log must reverse it."
+            f"'{joint_records[0].joint}' never reverses between speeds of more than "
+            f"{resting_speed:.3g} {unit}; at least one log must reverse it."
         )

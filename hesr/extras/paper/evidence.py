@@ -25,7 +25,7 @@ from hesr_model.friction.predict import predict
 from hesr_model.inference.comparison import law_errors
 from hesr_model.logs.signals import near_reversals
 from hesr_model.rigid_body.identification import RigidBody, identify
-from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.rigid_body.residual import FrictionRecord, find_resting_speed, friction_records
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 from hesr_model.support.progress import Stages
@@ -96,8 +96,11 @@ class Case:
         """Return the RMSE of a law over the lowest one of others, of all rows or at reversals."""
         joint_records = self.tests[test][j]
         errors = {}
+        resting_speed = find_resting_speed(joint_records)
         row_weights = [
-            near_reversals(record.t, record.dq) if reversals else np.ones(len(record.t))
+            near_reversals(record.t, record.dq, resting_speed)
+            if reversals
+            else np.ones(len(record.t))
             for record in joint_records
         ]
         for name in (law_name, *rivals):

@@ -1,0 +1,95 @@
+"""Speeds at which a joint rests, by its own motion: what moves is told from noise.
+
+A joint that is faster than 0.2 rad/s (m/s) in any log rests below `MOVING`. A slower one, as a
+cylinder or a fretting rig, rests below a tenth of its peak, if its travel and its peak exceed what
+the noise of its position can feign.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hesr_model.support.arrays import Array, Mask
+
+MOVING = 0.02  # speed [rad/s, m/s] below which every joint rests
+MIN_TRAVEL = 5e-3  # travel [rad, m] that always exceeds the noise of a position
+MOVING_SHARE = 0.1  # of the peak speed
+_MIN_TRAVEL_TO_NOISE = 20.0  # of 1e5 rows of white noise the range is 9 standard deviations
+_MIN_PEAK_TO_NOISE = 10.0
+_MIN_SPEED_TO_NOISE = 3.0
+_TRAVEL_QUANTILES = (0.01, 0.99)  # single wrong rows are no travel
+_WOBBLE_SHARE = 0.01  # of the largest travel of a robot: what other joints shake is not moved
+# Of white noise behind a low pass of 15 Hz, which smooths logs by default: root mean square
+# frequency [rad/s] and bandwidth [Hz]. They follow from integrals of 1 / (1 + x^4)^2.
+_NOISE_FREQUENCY = 0.577 * 2.0 * np.pi * 15.0
+_NOISE_BANDWIDTH = 0.833 * 15.0
+
+
+def find_resting_speeds(t: Sequence[Array], q: Sequence[Array], dq: Sequence[Array]) -> Array:
+    """Return the speeds at or below which joints rest, the same in all logs.
+
+    Parameters
+    ----------
+    t : times of each log or part (N,) [s].
+    q : unsmoothed positions (N, n) [rad, m].
+    dq : smoothed velocities (N, n) [rad/s, m/s].
+
+    Returns
+    -------
+    (n,) [rad/s, m/s], at most `MOVING`.
+    """
+    peaks = np.max([np.max(np.abs(part), axis=0) for part in dq], axis=0)
+    if np.all(MOVING_SHARE * peaks >= MOVING):
+        return np.full(len(peaks), MOVING)
+    noise = _estimate_position_noise(q)
+    period = float(np.median(np.concatenate([np.diff(part) for part in t])))
+    noise_share = min(2.0 * _NOISE_BANDWIDTH * period, 1.0)  # that passes the low pass
+    speed_noise = _NOISE_FREQUENCY * np.sqrt(noise_share) * noise
+    is_moving = find_travelling(q) & (peaks > _MIN_PEAK_TO_NOISE * speed_noise)
+    own_speeds = np.maximum(MOVING_SHARE * peaks, _MIN_SPEED_TO_NOISE * speed_noise)
+    return np.where(is_moving, np.minimum(MOVING, own_speeds), MOVING)
+
+
+def find_resting_travel(q: Sequence[Array]) -> Array:
+    """Return the travel (n,) [rad, m] up to which joints rest in a log, by all of the logs.
+
+    Parameters
+    ----------
+    q : unsmoothed positions (N, n) of all logs.
+    """
+    travel = np.max([np.ptp(part, axis=0) for part in q], axis=0)
+    own_travel = np.minimum(MIN_TRAVEL, MOVING_SHARE * travel)
+    return np.where(find_travelling(q), own_travel, MIN_TRAVEL)
+
+
+def find_travelling(q: Sequence[Array]) -> Mask:
+    """Return whether each joint (n,) travels, by unsmoothed positions (N, n) of logs [rad, m].
+
+    It travels by more than `MIN_TRAVEL` in one of them, or clearly beyond the noise of its
+    position and beyond what the motion of other joints shakes.
+    """
+    travel = np.max([np.ptp(part, axis=0) for part in q], axis=0)
+    if np.all(travel > MIN_TRAVEL):
+        return np.ones(len(travel), dtype=bool)
+    quantiles = [np.quantile(part, _TRAVEL_QUANTILES, axis=0) for part in q]
+    usual_travel = np.max([upper - lower for lower, upper in quantiles], axis=0)
+    exceeds_noise = usual_travel > _MIN_TRAVEL_TO_NOISE * _estimate_position_noise(q)
+    exceeds_wobble = usual_travel > _WOBBLE_SHARE * np.max(travel)
+    return np.asarray((travel > MIN_TRAVEL) | (exceeds_noise & exceeds_wobble))
+
+
+def _estimate_position_noise(q: Sequence[Array]) -> Array:
+    """Return the standard deviation (n,) of white noise in positions, at least a resolution.
+
+    Third differences hardly contain a motion that is slow against the sampling; of white noise they
+    have 20 times the variance.
+    """
+    joint_count = q[0].shape[1]
+    differences = np.concatenate(
+        [np.zeros((0, joint_count)), *(np.diff(part, 3, axis=0) for part in q)]
+    )
+    noise = np.sqrt(np.sum(differences**2, axis=0) / (20.0 * max(len(differences), 1)))
+    steps = np.abs(np.concatenate([np.diff(part, axis=0) for part in q]))
+    # A resting encoder may change by one count only, and rarely.
+    resolution = np.min(np.where(steps > 0.0, steps, np.inf), axis=0, initial=np.inf)
+    return np.maximum(noise, np.where(np.isfinite(resolution), resolution, 0.0))
