@@ -407,7 +407,7 @@ def summary_rows(proposal: Proposal) -> Iterator[tuple[str, ...]]:
         for j in np.flatnonzero(part.is_moving):
             fit = fits.get(int(j))
             v = part.v[:, j]
-            resting_speed = part.find_resting_speed(j)
+            resting_speed = part.find_resting_speed(int(j))
             joint_match = None if part.dq is None else match_velocity(v, part.dq[:, j], part.period)
             yield (
                 part.log.name if is_only_part else f"{part.log.name} from {part.t[0]:.3g} s",

@@ -92,4 +92,4 @@ def _estimate_position_noise(q: Sequence[Array]) -> Array:
     steps = np.abs(np.concatenate([np.diff(part, axis=0) for part in q]))
     # A resting encoder may change by one count only, and rarely.
     resolution = np.min(np.where(steps > 0.0, steps, np.inf), axis=0, initial=np.inf)
-    return np.maximum(noise, np.where(np.isfinite(resolution), resolution, 0.0))
+    return np.asarray(np.maximum(noise, np.where(np.isfinite(resolution), resolution, 0.0)))
