@@ -17,7 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hesr_model.errors import LogError
-from hesr_model.logs.signals import MOVING, Grid, moving, zero_phase
+from hesr_model.logs.rest import MOVING
+from hesr_model.logs.signals import Grid, moving, zero_phase
 from hesr_model.support.arrays import Array
 
 HIGH_FREQUENCY = 5.0  # [Hz] above which errors are also split

@@ -14,7 +14,8 @@ from itertools import count, groupby, pairwise
 
 import numpy as np
 
-from hesr_model.logs.signals import MOVING, Motion, near_reversals
+from hesr_model.logs.rest import MOVING
+from hesr_model.logs.signals import Motion, near_reversals
 from hesr_model.support.arrays import Array, join_records
 
 Stratum = tuple[int, str, int]  # joint, kind of condition, and octave

@@ -17,7 +17,7 @@ from hesr_model.laws.lugre import STATIC_RATIO_BOUNDS
 from hesr_model.laws.parfam import calibrate, evolve, family
 from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.laws.stribeck import V_S, VELOCITY_BOUNDS
-from hesr_model.logs.signals import MOVING
+from hesr_model.logs.rest import MOVING
 from hesr_model.support.arrays import Array
 
 MEMORY_BOUNDS = (0.05, 2000.0)  # [1/rad] kappa: none to a milliradian
