@@ -327,9 +327,9 @@ def _find_starts(log: _SearchedLog, row: int, other: _SearchedLog, first_row: in
     padded = np.concatenate([[np.inf], distances, [np.inf]])
     is_minimum = (distances <= padded[:-2]) & (distances < padded[2:]) & (distances < limit)
     starts: list[float] = []
-    for candidate in np.flatnonzero(is_minimum):
+    for candidate in np.flatnonzero(is_minimum[first_row:]) + first_row:
         start = _align(window, other, float(other.stamps[candidate]))
-        if start is not None and candidate >= first_row:
+        if start is not None:
             starts.append(start)
         if len(starts) == MAX_PLACES - 1:  # the next ones are the same for neighbouring windows
             break
