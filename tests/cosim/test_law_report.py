@@ -173,7 +173,7 @@ def test_missing_arguments_of_a_test_are_reported(table1: FrictionModel, tmp_pat
 
 
 def test_the_best_law_has_the_lowest_errors_of_all_joints() -> None:
-    from cosim.study.scores import Comparison, LawScores, Ratios
+    from cosim.study.scores import Comparison, LawScores, Ratios, Unseparated
 
     def errors(*rmse: float) -> LawScores:
         return LawScores(rmse=rmse, rmse_reversal=rmse, rmse_moving=rmse, r2=rmse)
@@ -186,9 +186,13 @@ def test_the_best_law_has_the_lowest_errors_of_all_joints() -> None:
         leading=(("x", "y"), ("y",)),
         detectable=({"y": 1.3}, {"x": 1.2}),
         seconds=(30.0, 10.0),
+        unseparated=(
+            {"y": Unseparated(laws=("x",), better=(), detectable=(1.3, 1.3), seconds=30.0)},
+            {"y": Unseparated(laws=(), better=(), detectable=(1.2, 1.2), seconds=10.0)},
+        ),
     )
     assert _scores_lines(scores) == [
         "Best: y. Unexplained friction: a 30 %, b 20 %.",
-        Containing("1 law on J1 (30 %)"),
+        Containing("separate it from 1 law on J1; it would show 30 %"),
         Containing("find 10 %, record tests of about 30"),
     ]

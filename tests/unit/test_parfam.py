@@ -64,7 +64,8 @@ def features_of(*records: FrictionRecord, how: str = "exact") -> HysteresisFeatu
 @pytest.fixture(scope="module", params=["exact", "euler"])
 def features(request: pytest.FixtureRequest) -> HysteresisFeatures:
     """Return three records with uneven steps."""
-    return features_of(record(200, 0), record(60, 1), record(150, 2), how=request.param)
+    records = [record(rows, k, log=f"run {k}") for k, rows in enumerate((200, 60, 150))]
+    return features_of(*records, how=request.param)
 
 
 def candidate(g: str | None = "tanh", **more: object) -> Candidate:

@@ -229,6 +229,7 @@ def test_a_non_finite_part_is_named():
 
 
 REGISTRY = {
+    "coulomb_viscous": "has the term F_c*sgn(dq), which is neither",
     "stribeck": "has the term F_c*sgn(dq), which is neither",
     "parfam_v": "nor viscous",
     "lugre_load": "term mu*sigma_0*z*abs(tau_load), which depends",
@@ -259,7 +260,8 @@ def test_every_law_of_the_registry_is_exact_or_refused(fitted, make_model, tmp_p
         with pytest.raises(ExportError, match=f"law '{name}' of joint 'axis_1' is not") as refusal:
             export_mjcf_law(model, tmp_path / f"{name}.xml")
         assert REGISTRY[name] in str(refusal.value)
-    assert {path.stem for path in tmp_path.iterdir()} == {"lugre", "lugre_passive", "dahl"}
+    exact_laws = {"none", "constant", "lugre", "lugre_passive", "dahl"}
+    assert {path.stem for path in tmp_path.iterdir()} == exact_laws
 
 
 def test_the_law_of_the_paper_is_refused(tmp_path):
