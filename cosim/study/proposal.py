@@ -1,6 +1,7 @@
 """Proposed study of inspected logs."""
 
 import json
+from collections.abc import Sequence
 from os.path import relpath
 from pathlib import Path
 
@@ -29,19 +30,18 @@ def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
     refinement_hint *= (
         len(proposal.description.joints) == 1 and not proposal.description.log.cylinder
     )
+    proposed_laws = propose_laws(proposal)
     lines = [
         "# Proposed by 'hesr inspect'; 'hesr run' runs it. Paths are relative to this file.",
         "",
         f"name = {json.dumps(_name(path))}  # results go to results/{_name(path)}",
         f"robot = {json.dumps(Path(relpath(robot.resolve(), folder)).as_posix())}",
         "seed = 0",
-        f"laws = {json.dumps(propose_laws(proposal))}  # 'hesr fit --list' lists all",
-        "# physical = true  # physically possible masses, if the logs determine too little",
+        f"laws = {json.dumps(proposed_laws)}  # 'hesr fit --list' lists all",
         *refinement_hint,
+        *_write_relaxed_laws(proposed_laws),
         "",
         "[logs]",
-    ]
-    lines += [
         f"identification = {json.dumps(files, ensure_ascii=False)}",
         "",
         "# Laws are judged on rows of these logs that neither they nor the body were fitted to.",
@@ -50,6 +50,20 @@ def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
         '# test = ["other.csv"]',
     ]
     return "\n".join(lines) + "\n"
+
+
+def _write_relaxed_laws(laws: Sequence[str]) -> list[str]:
+    """Return the lines of LuGre's laws without F_s >= F_c, which are references as well."""
+    lines = []
+    for law_name in ("lugre", "lugre_load"):
+        if law_name in laws:
+            lines += [
+                "",
+                f"[variants.{law_name}_relaxed]  # F_s < F_c allowed, as in lubricated gears",
+                f'law = "{law_name}"',
+                "options = { relaxed = true }",
+            ]
+    return lines
 
 
 def propose_laws(proposal: Proposal) -> list[str]:

@@ -52,6 +52,8 @@ class RunResult(Answer):
                 located_verdict, simulation=replace(verdict.simulation, fmu=fmu)
             )
         lines = [*located_verdict.sentences, *self._joint_lines()]
+        if self.outcome.rigid_body.sentence:
+            lines.append(self.outcome.rigid_body.sentence)
         if self.outcome.following.rows:
             lines.append(loop.benefit(self.outcome.following, self._sliding))
         count = len(self.findings)
