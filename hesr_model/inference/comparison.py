@@ -119,7 +119,7 @@ class LawErrors:
     @property
     def too_short(self) -> bool:
         """Whether the logs are too short for any statement."""
-        return self.degrees < MIN_DEGREES and self.is_between.sum() < MIN_BETWEEN_DEGREES
+        return bool(self.degrees < MIN_DEGREES and self.is_between.sum() < MIN_BETWEEN_DEGREES)
 
     @cached_property
     def best(self) -> int:
