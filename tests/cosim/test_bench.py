@@ -403,6 +403,9 @@ def test_a_joint_that_rests_is_locked(tmp_path: Path) -> None:
 def test_a_bench_that_rests_has_no_body_to_check(tmp_path: Path) -> None:
     api.new(tmp_path / "bench", bench="rotary")
     slow = replace(SPIN, speeds=[1e-4], rates=[0.1], drift=0.0).columns(SPUN)
+    rng = np.random.default_rng(0)
+    slow["q"] = 1e-5 * rng.normal(size=len(slow["t"]))  # the noise of an encoder
+    slow["dq"] = 1e-4 * rng.normal(size=len(slow["t"]))
     log = write(
         tmp_path / "log.csv",
         {"t": slow["t"], "q1": slow["q"], "dq1": slow["dq"], "tau1": slow["tau"]},

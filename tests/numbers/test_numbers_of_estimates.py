@@ -22,6 +22,7 @@ from hesr_model.inference.covariance import (
     pool_covariances,
     standard_errors,
 )
+from hesr_model.logs.rest import MOVING
 from hesr_model.rigid_body.residual import FrictionRecord
 
 LUGRE = {"sigma_0": 500.0, "sigma_1": 0.5, "sigma_2": 4.5, "F_c": 7.5, "F_s": 10.0, "v_s": 0.12,
@@ -200,7 +201,7 @@ def test_parts_of_a_band(records: list[FrictionRecord], unchanged: Unchanged) ->
         "tails": [calibration._fit_tail(standard**k, float(np.quantile(standard**k, 0.95)))
                   for k in (0.2, 0.8, 1.0, 4.0)],
         "no tail": calibration._fit_tail(0.0 * standard, 0.0),
-        "rests": [calibration._count_rests(r) for r in (*records, *many)],
+        "rests": [calibration._count_rests(r, MOVING) for r in (*records, *many)],
     }, rtol=1e-5)  # fmt: skip
 
 
@@ -213,13 +214,13 @@ def test_a_rest_lasts_half_a_second() -> None:
         dq = np.ones(40)
         for rows in still:
             dq[list(rows)] = 0.0199
-        return calibration._count_rests(replace(one, dq=dq))
+        return calibration._count_rests(replace(one, dq=dq), MOVING)
 
     assert rests(range(4)) == 0
     assert rests(range(5)) == 1
     assert rests(range(5), range(6, 11), range(35, 40)) == 3
-    assert calibration._count_rests(replace(one, dq=np.full(40, 0.02))) == 0
-    assert calibration._count_rests(replace(one, dq=np.full(40, -0.0199))) == 1
+    assert calibration._count_rests(replace(one, dq=np.full(40, 0.02)), MOVING) == 0
+    assert calibration._count_rests(replace(one, dq=np.full(40, -0.0199)), MOVING) == 1
 
 
 @pytest.mark.parametrize(("rests", "envelope"), [(9, 1.0), (10, 0.0)])

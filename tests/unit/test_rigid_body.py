@@ -157,7 +157,7 @@ def test_too_few_samples_are_refused(arm_model: Robot, make_motion: MakeMotion) 
 
 def test_a_joint_that_hardly_moves_is_named(arm_model: Robot, make_motion: MakeMotion) -> None:
     motion = make_motion(name="run")
-    slow = replace(motion, dq=motion.dq * [1.0, 0.01, 1.0])
+    slow = replace(motion, dq=motion.dq * [1.0, 0.01, 1.0], q_raw=motion.q_raw * [1.0, 0.0, 1.0])
     message = r"joint 'j2' is never faster than 0\.\d+"
     with pytest.raises(FitError, match=message):
         identify_motions([slow], arm_model)
