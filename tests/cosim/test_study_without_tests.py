@@ -74,6 +74,7 @@ def test_the_page_does_not_speak_of_tests(outcome: Outcome, folder: Path) -> Non
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert "unseen test" not in page
     assert "Test set" not in page
+    assert "the test" not in page
     assert page == Containing("judged on rows of the logs that neither", "laws were judged on rows")
     assert "were fitted without these rows" in page
     assert "that were fitted without it" in page
