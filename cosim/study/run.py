@@ -211,6 +211,9 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
     models = {
         law_name: add_left_out_rmse(model, left_out_errors) for law_name, model in models.items()
     }
+    if not study.logs.test:  # a law that failed without a part of the logs has no error to show
+        models = {name: model for name, model in models.items() if name in left_out_errors.laws}
+        refined = {name: refinement for name, refinement in refined.items() if name in models}
     fmus = _write_laws(job, models, folder)
     comparisons, predictions = job.compare(
         models, records, files, folder / "fmus", extended_records, left_out_errors

@@ -1,7 +1,10 @@
 """A study without test sets: laws are judged on left-out rows, and its page says so."""
 
 import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,29 +12,45 @@ from containing import Containing
 from small_study import uf850, write_study
 
 from cosim.report.results import Results
+from cosim.study import steps
 from cosim.study.run import Outcome, run_study
 from cosim.study.study import LEFT_OUT
 from cosim.study.verdict import describe_choice
 from hesr_model.fitting.estimator import select_laws
+from hesr_model.inference.left_out import LeftOutErrors
 
 pytestmark = pytest.mark.ci
 
 TESTED = '[logs.test]\nunseen = ["trial"]\n'
+FAILED = "dahl"
 MODELS = {*select_laws("baseline"), "stribeck"}
 
 
+def fail_on_relaxed(judge: Callable[..., LeftOutErrors]) -> Callable[..., LeftOutErrors]:
+    """Judge laws as if one of them could not be fitted without a part of the logs."""
+
+    def judge_others(laws: Sequence[str], *arguments: Any, **settings: Any) -> LeftOutErrors:
+        others = [law_name for law_name in laws if law_name != FAILED]
+        assert len(others) == len(laws) - 1
+        return replace(judge(others, *arguments, **settings), failed={FAILED: "no solution."})
+
+    return judge_others
+
+
 @pytest.fixture(scope="module")
-def outcome(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
+def outcome(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Outcome]:
     folder = tmp_path_factory.mktemp("untested")
     study = write_study(folder)
     text = study.read_text(encoding="utf-8")
     assert TESTED in text
     assert str(uf850("robot.toml")) in text
-    text = text.replace(TESTED, "").replace('["stribeck", "parfam_h"]', '["stribeck"]')
+    text = text.replace(TESTED, "").replace('parfam_h"]', f'{FAILED}"]')
     options = text.index("[options.parfam_h]")
     text = text[:options] + text[text.index("[twin]") :]
     study.write_text(text.replace("seed = 3", "seed = 3\nfolds = 3"), encoding="utf-8")
-    return run_study(study, folder / "results")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(steps, "judge_laws", fail_on_relaxed(steps.judge_laws))
+        yield run_study(study, folder / "results")
 
 
 @pytest.fixture(scope="module")
@@ -94,3 +113,12 @@ def test_errors_in_the_files_of_logs_are_the_left_out_ones(outcome: Outcome, fol
     measured = torques["tau1"] - torques["tau_rb1"]
     rmse = float(np.sqrt(np.mean((predicted - measured) ** 2)))
     assert rmse == pytest.approx(outcome.comparisons[LEFT_OUT].laws["stribeck"].rmse[0])
+
+
+def test_a_law_that_fails_without_a_part_of_the_logs_is_named(
+    outcome: Outcome, folder: Path
+) -> None:
+    """It has no error on left-out rows, hence no row in tables and no FMU."""
+    assert set(outcome.models) == set(outcome.fmus) == MODELS
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert f"The law {FAILED} was left out: no solution." in page
