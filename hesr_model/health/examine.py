@@ -130,7 +130,8 @@ def _inform_robot(robot: Robot, parts: Sequence[SmoothPart]) -> Robot | None:
             name=part.log.name,
             t=part.t,
             q=part.q,
-            q_raw=part.q,
+            # Unsmoothed: its noise decides whether a slow joint moves.
+            q_raw=part.log.q[np.searchsorted(part.log.t, part.t)],
             dq=part.v,
             ddq=part.a,
             tau=part.tau,
