@@ -17,9 +17,10 @@ from hesr_model.fitting.days import (
 )
 from hesr_model.fitting.fit import load_or_fit
 from hesr_model.friction.model import FrictionModel
+from hesr_model.inference.choice import PLAIN
 from hesr_model.inference.folds import Fold, thin
 from hesr_model.inference.left_out import LeftOutErrors
-from hesr_model.logs.signals import Motion
+from hesr_model.logs.signals import Motion, reversals
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import (
     FrictionRecord,
@@ -41,6 +42,7 @@ class _FoldData:
     """What a fold trains laws on, and what it judges them on."""
 
     training: list[JointRecords]  # by joint, at friction coordinates
+    reverses: list[bool]  # by joint, whether its training reverses: otherwise it is not judged
     judged_logs: list[int]
     judged_records: list[list[FrictionRecord]]  # by judged log and joint, whole logs
     judged_rows: list[Mask]  # by judged log
@@ -108,8 +110,13 @@ def _collect_fold(
     records = [motion_records(thin(piece), robot, body) for piece in fold.training]
     judged_logs = [k for k, rows in enumerate(fold.judged) if rows.any()]
     training = [list(joint_records) for joint_records in zip(*records, strict=True)]
+    training = transform_all_records(training) if training else []
+    reverses = [
+        any(len(reversals(record.dq)) > 0 for record in joint_records) for joint_records in training
+    ]
     return _FoldData(
-        training=transform_all_records(training) if training else [],
+        training=training,
+        reverses=reverses or [False] * robot.n,
         judged_logs=judged_logs,
         judged_records=[motion_records(motions[k], robot, body) for k in judged_logs],
         judged_rows=[fold.judged[k] for k in judged_logs],
@@ -131,17 +138,18 @@ def _judge_law(
     if not data.training:
         return FitError(f"law '{law_name}': a fold leaves nothing to train on.")
     laws = []
-    for joint_records in data.training:
+    for joint_records, reverses in zip(data.training, data.reverses, strict=True):
         records = joint_records
         if per_log:
             records = remove_nuisances(records, estimate_nuisances(records, per_log))
+        # Laws need a reversal. A joint without one is not judged, but must not hide the others.
         law = load_or_fit(
-            estimator_name,
+            estimator_name if reverses else PLAIN,
             records,
             checkpoints=checkpoints,
             progress=progress,
             seed=seed,
-            options=options,
+            options=options if reverses else None,
         )
         if isinstance(law, FitError):
             return law
@@ -220,7 +228,7 @@ def _assemble(
             _collect_friction(fold_data, k, len(motion.t), robot.n)
             for k, motion in enumerate(motions)
         ),
-        counts=np.array([[fold.reverses(j) for j in range(robot.n)] for fold in folds]),
+        counts=np.array([data.reverses for data in fold_data]),
         failed=failed,
     )
 

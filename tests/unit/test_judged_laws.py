@@ -100,6 +100,22 @@ def test_a_law_that_cannot_be_fitted_in_a_fold_has_a_reason(
     assert errors.failed == {"constant": "law 'constant': no"}
 
 
+def test_a_joint_without_a_reversal_in_a_fold_does_not_hide_the_others(
+    arm_model: Robot, make_motion: MakeMotion
+) -> None:
+    """Without the first third the second joint never reverses, and no law with memory fits it."""
+    motion = noisy(make_motion(friction=3.0, seconds=12.0))
+    dq = motion.dq.copy()
+    late = motion.t > 4.0
+    dq[late, WORST] = np.abs(dq[late, WORST]) + 0.1
+    errors, _, _ = judge([replace(motion, dq=dq)], arm_model, ("lugre", *LAWS))
+    assert errors.failed == {}
+    assert errors.laws == ("lugre", *LAWS)
+    np.testing.assert_array_equal(errors.counts[:, WORST], [False, True, True])
+    assert errors.counts[:, [0, 2]].all()
+    assert np.isfinite([errors.rmse("lugre", j) for j in range(3)]).all()
+
+
 def test_a_law_that_no_fold_can_train_has_a_reason(
     arm_model: Robot, make_motion: MakeMotion
 ) -> None:
