@@ -14,7 +14,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.inference.replicates import (
     ErrorSplit,
     Repetition,
-    Trajectory,
+    RobotMotion,
     count_rows,
     find_period,
     find_repetitions,
@@ -103,10 +103,10 @@ def split_by_replicates(records: Records, torques: Torques) -> Replicates | None
     return _split(records, torques, find_repetitions(_collect_trajectories(records)))
 
 
-def _collect_trajectories(records: Records) -> list[Trajectory]:
+def _collect_trajectories(records: Records) -> list[RobotMotion]:
     """Return the motion of all joints, by log."""
     return [
-        Trajectory(
+        RobotMotion(
             t=log_records[0].t,
             q=np.column_stack([record.q for record in log_records]),
             dq=np.column_stack([record.dq for record in log_records]),

@@ -49,7 +49,7 @@ _MAX_CORRELATION = 0.8  # of the shares of neighbouring windows; more cannot be 
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Trajectory:
+class RobotMotion:
     """Motion of all joints in a log without gaps.
 
     Attributes
@@ -64,8 +64,8 @@ class Trajectory:
     dq: Array
 
 
-class Place(NamedTuple):
-    """Place of a replicate: index of its log, and its first time [s]."""
+class MotionPlace(NamedTuple):
+    """MotionPlace of a replicate: index of its log, and its first time [s]."""
 
     log: int
     start: float
@@ -75,7 +75,7 @@ class Place(NamedTuple):
 class Repetition:
     """Motion of `WINDOW_SECONDS` that all joints make at two or more places, which share no row."""
 
-    places: tuple[Place, ...]
+    places: tuple[MotionPlace, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +108,7 @@ class ErrorSplit:
         return float(np.sqrt(self.noise))
 
 
-def find_repetitions(trajectories: Sequence[Trajectory]) -> list[Repetition]:
+def find_repetitions(trajectories: Sequence[RobotMotion]) -> list[Repetition]:
     """Find motions that all joints make more than once, in a log or in several.
 
     Windows of motion are aligned in time with all later ones and compared in position and velocity.
@@ -201,7 +201,7 @@ def find_period(repetitions: Sequence[Repetition]) -> float | None:
     return float(np.median(distances)) if distances else None
 
 
-def _select_searched(trajectories: Sequence[Trajectory]) -> dict[int, Trajectory]:
+def _select_searched(trajectories: Sequence[RobotMotion]) -> dict[int, RobotMotion]:
     """Return the trajectories by index that last a window, up to `MAX_SEARCHED_SECONDS` of all."""
     searched = {}
     left_seconds = MAX_SEARCHED_SECONDS
@@ -210,7 +210,7 @@ def _select_searched(trajectories: Sequence[Trajectory]) -> dict[int, Trajectory
         t = trajectory.t[rows]
         duration = float(t[-1] - t[0])
         if len(t) >= 4 and duration > WINDOW_SECONDS:  # a cubic spline needs four rows
-            searched[index] = Trajectory(t=t, q=trajectory.q[rows], dq=trajectory.dq[rows])
+            searched[index] = RobotMotion(t=t, q=trajectory.q[rows], dq=trajectory.dq[rows])
             left_seconds -= duration
     return searched
 
@@ -223,7 +223,7 @@ class _Scales(NamedTuple):
     dq: Array
 
     @classmethod
-    def from_trajectories(cls, trajectories: Sequence[Trajectory]) -> "_Scales":
+    def from_trajectories(cls, trajectories: Sequence[RobotMotion]) -> "_Scales":
         """Return the scales over the logs in which a joint moves, none below that of a rest."""
         joint_count = trajectories[0].q.shape[1]
         q_squares = np.zeros(joint_count)
@@ -249,7 +249,7 @@ class _Scales(NamedTuple):
 class _SearchedLog:
     """Scaled motion of a log: spline of positions and velocities, and its samples at `_RATE`."""
 
-    def __init__(self, trajectory: Trajectory, scales: _Scales) -> None:
+    def __init__(self, trajectory: RobotMotion, scales: _Scales) -> None:
         from scipy.interpolate import make_interp_spline
 
         q = (trajectory.q - scales.q_mean) / scales.q
@@ -297,8 +297,8 @@ class _Match(NamedTuple):
     """Window of a log, by its number among those with motion, and a later place of its motion."""
 
     number: int
-    window: Place
-    place: Place
+    window: MotionPlace
+    place: MotionPlace
 
 
 def _match_windows(
@@ -310,11 +310,11 @@ def _match_windows(
         if np.mean(log.is_moving[row : row + _WINDOW_ROWS]) < 0.5:
             continue
         number += 1
-        window = Place(index, float(log.stamps[row]))
+        window = MotionPlace(index, float(log.stamps[row]))
         for other_index, other in later_logs.items():
             first_row = row + _WINDOW_ROWS if other_index == index else 0
             for start in _find_starts(log, row, other, first_row):
-                yield _Match(number, window, Place(other_index, start))
+                yield _Match(number, window, MotionPlace(other_index, start))
 
 
 def _find_starts(log: _SearchedLog, row: int, other: _SearchedLog, first_row: int) -> list[float]:
@@ -380,12 +380,12 @@ def _keep_long_matches(matches: Sequence[_Match]) -> list[_Match]:
 
 def _collect_repetitions(matches: Sequence[_Match]) -> list[Repetition]:
     """Return repetitions whose places share no row, from the first window on."""
-    places_of_window: dict[Place, list[Place]] = defaultdict(list)
+    places_of_window: dict[MotionPlace, list[MotionPlace]] = defaultdict(list)
     for match in matches:
         places_of_window[match.window].append(match.place)
     taken: dict[int, list[float]] = defaultdict(list)
 
-    def is_free(place: Place) -> bool:
+    def is_free(place: MotionPlace) -> bool:
         # Windows that follow each other touch; alignment moves them by parts of a row.
         return all(
             abs(start - place.start) > WINDOW_SECONDS - 1.0 / _RATE for start in taken[place.log]
@@ -451,7 +451,7 @@ class _ErrorSplines:
         return np.asarray(self._splines[log](np.clip(t, times[0], times[-1])))
 
 
-def _select_rows(times: Sequence[Array], place: Place) -> slice:
+def _select_rows(times: Sequence[Array], place: MotionPlace) -> slice:
     """Return the rows of a replicate."""
     ends = (place.start, place.start + WINDOW_SECONDS)
     first, last = np.searchsorted(times[place.log], ends)

@@ -193,6 +193,6 @@ def test_the_best_law_has_the_lowest_errors_of_all_joints() -> None:
     )
     assert _scores_lines(scores) == [
         "Best: y. Unexplained friction: a 30 %, b 20 %.",
-        Containing("separate it from 1 law on J1; it would show 30 %"),
+        Containing("1 law on J1; it would show 30 %"),
         Containing("find 10 %, record tests of about 30"),
     ]

@@ -9,7 +9,7 @@ from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.records import predict_record
 from hesr_model.inference.replicates import (
     ErrorSplit,
-    Trajectory,
+    RobotMotion,
     find_period,
     find_repetitions,
     high_pass_errors,
@@ -39,7 +39,7 @@ def splits(
     for j, law in enumerate(model.laws):
         log = Log.read(ur10e_data / f"friction_sine_joint{j + 1}.csv", ur10e)
         records = friction_records(log, ur10e_model, body)
-        trajectory = Trajectory(
+        trajectory = RobotMotion(
             t=log.t,
             q=np.column_stack([record.q for record in records]),
             dq=np.column_stack([record.dq for record in records]),

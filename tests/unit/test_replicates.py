@@ -8,7 +8,7 @@ import pytest
 from hesr_model.inference.replicates import (
     ErrorSplit,
     Repetition,
-    Trajectory,
+    RobotMotion,
     count_rows,
     find_period,
     find_repetitions,
@@ -22,16 +22,16 @@ RATE = 100.0  # [Hz]
 
 def sine(
     duration: float = 41.0, period: float = 8.0, amplitude: float = 1.0, phase: float = 0.0
-) -> Trajectory:
+) -> RobotMotion:
     """Two joints; the second one moves in the opposite direction at twice the frequency."""
     t = np.arange(0.0, duration, 1.0 / RATE)
     angle = 2.0 * np.pi * (t / period + phase)
     q = amplitude * np.column_stack([np.cos(angle), -0.5 * np.cos(2.0 * angle)])
     dq = 2.0 * np.pi / period * amplitude * np.column_stack([-np.sin(angle), np.sin(2.0 * angle)])
-    return Trajectory(t=t, q=q, dq=dq)
+    return RobotMotion(t=t, q=q, dq=dq)
 
 
-def multisine(seed: int, duration: float = 12.0, start: float = 0.0) -> Trajectory:
+def multisine(seed: int, duration: float = 12.0, start: float = 0.0) -> RobotMotion:
     """One joint in a sum of sines, from a time [s] on."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, duration, 1.0 / RATE)
@@ -40,23 +40,23 @@ def multisine(seed: int, duration: float = 12.0, start: float = 0.0) -> Trajecto
     amplitudes = rng.uniform(0.5, 1.0, 4)
     q = np.sin(angles) @ amplitudes
     dq = np.cos(angles) @ (amplitudes * 2.0 * np.pi * frequencies)
-    return Trajectory(t=t, q=q[:, None], dq=dq[:, None])
+    return RobotMotion(t=t, q=q[:, None], dq=dq[:, None])
 
 
-def join(*trajectories: Trajectory) -> Trajectory:
+def join(*trajectories: RobotMotion) -> RobotMotion:
     """One after the other, with steps between them."""
     q = np.concatenate([trajectory.q for trajectory in trajectories])
     dq = np.concatenate([trajectory.dq for trajectory in trajectories])
-    return Trajectory(t=np.arange(len(q)) / RATE, q=q, dq=dq)
+    return RobotMotion(t=np.arange(len(q)) / RATE, q=q, dq=dq)
 
 
-def repeating(trajectory: Trajectory) -> Array:
+def repeating(trajectory: RobotMotion) -> Array:
     """An error with RMS 1 that is a function of the motion, up to 10 Hz."""
     ripple = np.sqrt(2.0) * np.sin(40.0 * trajectory.q[:, 0])
     return np.asarray(ripple / np.sqrt(np.mean(np.square(ripple))))
 
 
-def split_one(trajectory: Trajectory, error: Array) -> ErrorSplit:
+def split_one(trajectory: RobotMotion, error: Array) -> ErrorSplit:
     repetitions = find_repetitions([trajectory])
     return split_errors([trajectory.t], [error[:, None]], repetitions)[0]
 
@@ -140,7 +140,7 @@ def test_high_frequencies_are_split_by_themselves() -> None:
     assert high_pass_errors(trajectory.t[::20], errors[::20]) is None  # 5 Hz
 
 
-def replicated(*trajectories: Trajectory) -> list[Repetition]:
+def replicated(*trajectories: RobotMotion) -> list[Repetition]:
     return find_repetitions(trajectories)
 
 
@@ -164,21 +164,21 @@ def test_motion_of_another_log_and_of_another_time_of_a_log() -> None:
     assert find_period(find_repetitions([first, later])) is None
 
 
-ONE_OF_A_KIND: dict[str, Callable[[], list[Trajectory]]] = {
+ONE_OF_A_KIND: dict[str, Callable[[], list[RobotMotion]]] = {
     "one period": lambda: [sine(duration=8.0)],
     "different motions": lambda: [multisine(1), multisine(2)],
     "amplitudes": lambda: [sine(duration=8.0), sine(duration=8.0, amplitude=1.05)],
     "frequencies": lambda: [sine(duration=8.0), sine(duration=8.4, period=8.4)],
     "the other joint": lambda: [
         sine(duration=8.0),
-        Trajectory(t=sine(8.0).t, q=sine(8.0).q * [1.0, 0.9], dq=sine(8.0).dq * [1.0, 0.9]),
+        RobotMotion(t=sine(8.0).t, q=sine(8.0).q * [1.0, 0.9], dq=sine(8.0).dq * [1.0, 0.9]),
     ],
     "positions": lambda: [
         sine(duration=8.0),
-        Trajectory(t=sine(8.0).t, q=sine(8.0).q + 0.1, dq=sine(8.0).dq),
+        RobotMotion(t=sine(8.0).t, q=sine(8.0).q + 0.1, dq=sine(8.0).dq),
     ],
     "rest": lambda: [
-        Trajectory(t=sine(8.0).t, q=0.0 * sine(8.0).q, dq=0.0 * sine(8.0).dq) for _ in range(2)
+        RobotMotion(t=sine(8.0).t, q=0.0 * sine(8.0).q, dq=0.0 * sine(8.0).dq) for _ in range(2)
     ],
     "short motions": lambda: [multisine(1, duration=4.0), multisine(1, duration=4.0)],
 }

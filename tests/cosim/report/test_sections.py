@@ -296,8 +296,12 @@ def test_the_first_layer(results: Results) -> None:
 
 
 def test_predictions(results: Results, recorded: Recorded) -> None:
+    errors = prediction.errors_of_tests(results)
+    # Their wording is tested with the replicates.
+    assert len(errors["tests"][0]["replicates"].pop("sentences")) == 2
+    assert len(errors["training"].pop("sentences")) == 1
     recorded(
-        errors=prediction.errors_of_tests(results),
+        errors=errors,
         chirp=prediction.chirp(results),
         loops=prediction.loops(results),
     )
