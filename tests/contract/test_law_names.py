@@ -11,7 +11,9 @@ WITH_DEFAULTS = {
     "cosim/regressor.py",  # default of `FrictionRegressor(law=..)`
     "cosim/report/tables/loop.py",  # tables of the paper
     "cosim/report/sections/prediction.py",  # comparison with Fig. 5 of the paper
+    "cosim/study/proposal.py",  # relaxed variants of LuGre as references
     "cosim/study/scores.py",  # reference and baseline
+    "hesr_model/inference/choice.py",  # baselines, and laws that are proven by construction
     "hesr/extras/fleet/study.py",  # default of the key `laws`
     # Not laws: a parameter of an alternative plant and an attribute of MuJoCo.
     "fmu_src/arm/truth.py",
