@@ -35,6 +35,9 @@ ENERGY = 1e-6  # share of a cycle that counts as energy
 _MILLION = 1_000_000
 
 FITTED = (
+    "none",
+    "constant",
+    "coulomb_viscous",
     "stribeck",
     "parfam_v",
     "lugre_passive",
