@@ -204,8 +204,6 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
     if study.refinement is not None and not study.refinement.law:  # all laws are refined
         refined = job.refine(logs, robot, body, models)
         models |= {law_name: refinement.model for law_name, refinement in refined.items()}
-    findings += log_findings(check_laws(models, select_records(study.logs.training, records)))
-    write_findings(folder, findings)
 
     left_out_errors = job.judge_laws(logs, robot, body, list(models))
     models = {
@@ -214,6 +212,16 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
     if not study.logs.test:  # a law that failed without a part of the logs has no error to show
         models = {name: model for name, model in models.items() if name in left_out_errors.laws}
         refined = {name: refinement for name, refinement in refined.items() if name in models}
+    # Variants are references: only those that are recommended need advice.
+    chosen_laws = choose_from_models(models, left_out_errors).laws
+    checked_models = {
+        name: model
+        for name, model in models.items()
+        if name in chosen_laws or name not in study.variants
+    }
+    training_records = select_records(study.logs.training, records)
+    findings += log_findings(check_laws(checked_models, training_records))
+    write_findings(folder, findings)
     fmus = _write_laws(job, models, folder)
     comparisons, predictions = job.compare(
         models, records, files, folder / "fmus", extended_records, left_out_errors

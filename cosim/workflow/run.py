@@ -98,7 +98,7 @@ class RunResult(Answer):
                 judged = "not judged"
                 if ratio != NOT_JUDGED:
                     judged = f"{ratio} of Coulomb + viscous, {unexplained} unexplained"
-                yield f"  {row.head}: {law}, {judged}, {passivity}, feed-forward {feed_forward}"
+                yield f"  {row.head}: {law}, {judged}, {passivity}; feed-forward: {feed_forward}."
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return laws, body, scores, closed loop, physics checks, findings and cache use."""

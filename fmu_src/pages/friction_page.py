@@ -184,6 +184,8 @@ def model_title(model: FrictionModel) -> str:
 
 def _explain_intervals(law: FrictionLaw) -> str:
     """Explain the intervals of the coefficients, or why they are missing."""
+    if not law.values:
+        return "The law has no coefficients."
     if law.standard_errors:
         text = "The 95 % intervals are 1.96 standard errors of linearised least squares."
         if len(law.standard_errors) < len(law.values):

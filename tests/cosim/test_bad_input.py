@@ -22,6 +22,7 @@ from cosim.loop.excite import excite
 from cosim.loop.motions import Motions
 from fmu_src import export_fmu, model_file
 from fmu_src.arm.plant import Plant
+from hesr_model.fitting.estimator import select_laws
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log
@@ -229,7 +230,6 @@ LOG_FAULTS: dict[str, tuple[Callable[[Rows], object], str]] = {
 
 READERS = ("identify", "fit", "test law", "test fmu", "run")
 FIT_IN_CI = pytest.param("fit", marks=pytest.mark.ci)
-RUN_IN_CI = pytest.param("run", marks=pytest.mark.ci)
 
 
 def spoiled(bench: Bench, folder: Path, change: Callable[[Rows], object]) -> Path:
@@ -339,12 +339,11 @@ def constant(log: Log) -> Log:
     return replace(log, q=q, dq=dq)
 
 
-@pytest.mark.parametrize("command", ["fit", RUN_IN_CI])
 def test_a_log_without_a_velocity_reversal_is_refused(
-    command: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
+    bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     log = rewritten(bench, tmp_path, one_way)
-    sentence = refused(*bench.command(command, output=tmp_path / "output", log=log))
+    sentence = refused(*bench.command("fit", output=tmp_path / "output", log=log))
     assert sentence == OneSentence("log log", "joint 'joint2' never reverses")
 
 
@@ -356,14 +355,28 @@ def test_a_constant_joint_cannot_be_identified(
     assert sentence == Containing(f"{log}: the position", "'joint3' is constant")
 
 
-@pytest.mark.parametrize("command", ["fit", RUN_IN_CI])
 def test_the_friction_of_a_constant_joint_cannot_be_fitted(
-    command: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
+    bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     log = rewritten(bench, tmp_path, constant)
-    sentence = refused(*bench.command(command, output=tmp_path / "output", log=log))
+    sentence = refused(*bench.command("fit", output=tmp_path / "output", log=log))
     assert "joint 'joint3'" in sentence
     assert "log" in sentence
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize(("change", "joint"), [(one_way, "joint2"), (constant, "joint3")])
+def test_a_run_without_a_velocity_reversal_recommends_a_baseline(
+    change: Callable[[Log], Log], joint: str, bench: Bench, hesr: Hesr, tmp_path: Path
+) -> None:
+    """Other laws are left out with their reason."""
+    log = rewritten(bench, tmp_path, change)
+    answer = hesr(*bench.command("run", output=tmp_path / "output", log=log))
+    assert answer.code == 0, answer.err
+    assert answer.err == Containing("'stribeck' is left out", f"joint '{joint}'")
+    saved = json.loads((tmp_path / "output" / "verdict.json").read_text(encoding="utf-8"))
+    laws = [one["law_name"] for one in saved["choice"]["joints"]]
+    assert set(laws) <= set(select_laws("baseline"))
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from containing import Containing
 from documents import ROOT
 from small_study import Hesr, contents, hesr_here
 
@@ -483,7 +484,10 @@ def test_the_commands_of_the_documentation_lead_to_an_fmu(
     commands = re.findall(r"(?m)^ {4}hesr (.*)", section)
     assert len(commands) == 3
     answers = [hesr(*shlex.split(command)) for command in commands]
-    assert [(answer.code, answer.err) for answer in answers] == [(0, "")] * 3
+    assert [answer.code for answer in answers] == [0, 0, 0]
+    assert [answer.err for answer in answers[:2]] == ["", ""]
+    # The recommended law may have reached a limit.
+    assert answers[2].err == "" or answers[2].err == Containing("motor", "[bound]")
     advised = re.search(r"Recommended: (\S+\.fmu)", answers[-1].out)
     assert advised, answers[-1].out
     t = np.arange(100) * 0.005

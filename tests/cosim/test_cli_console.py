@@ -12,7 +12,7 @@ import pytest
 from containing import OneSentence
 from small_study import Hesr, Run, hesr_here, hesr_in_a_process, uf850, write_study
 
-from hesr_model.fitting.estimator import registry
+from hesr_model.fitting.estimator import registry, select_laws
 
 ROBOT = uf850("robot.toml")
 
@@ -44,7 +44,7 @@ def test_json_is_the_only_output_of_a_run(study_run_for_programs: Run) -> None:
     assert ran.answer.code == 0, ran.answer.err
     answer = json.loads(ran.answer.out)["result"]
     assert answer["folder"] == "results"
-    assert set(answer["fmus"]) == {"stribeck", "parfam_h"}
+    assert set(answer["fmus"]) == {*select_laws("baseline"), "stribeck", "parfam_h"}
     for fmu in answer["fmus"].values():
         assert (ran.study.parent / fmu).is_file()
     saved = json.loads((ran.results / "evaluation.json").read_text(encoding="utf-8"))
@@ -123,7 +123,7 @@ def test_verbose_logs_steps_with_times(ran: Run) -> None:
     lines = ran.answer.err.splitlines()
     pattern = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} [A-Z]+ [a-z_.]+: .")
     assert [line for line in lines if not pattern.match(line)] == []
-    for text in ("running the arm: 1 of 1", "fitting laws: 600 of 600", "building FMUs: 2 of 2"):
+    for text in ("running the arm: 1 of 1", "fitting laws: 1500 of 1500", "building FMUs: 5 of 5"):
         assert any(line.endswith(text) for line in lines)
 
 

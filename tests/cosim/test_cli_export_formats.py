@@ -51,10 +51,15 @@ def test_a_drive_is_exported(hesr, tmp_path):
 
 
 def test_a_plant_is_exported_with_the_identified_body(hesr, study_run, tmp_path):
+    body = tmp_path / "body.json"
+    excitation = study_run.results / "logs" / "excitation.csv"
+    robot = ("--robot", uf850("robot.toml"))
+    identified = hesr("identify", excitation, *robot, "--body", "free", "-o", body)
+    assert identified.code == 0, identified.err
     moved = []
-    for more in ((), ("--rigid-body", study_run.rigid_body)):
+    for more in ((), ("--rigid-body", body)):
         fmu = tmp_path / f"Arm{len(more)}.fmu"
-        given = ("--format", "plant", "--robot", uf850("robot.toml"), *more)
+        given = ("--format", "plant", *robot, *more)
         answer = hesr("export", TABLE_1, *given, "-o", fmu)
         assert answer.code == 0, answer.err
         assert answer.out.endswith(f" KiB.\nPlatforms: linux64, win64.\nWritten: {fmu}\n")

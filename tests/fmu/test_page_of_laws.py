@@ -63,12 +63,14 @@ def test_the_uncertainty_is_stated_or_its_absence_explained(
             assert ("fixed or at a bound" in text) == partial, name
         elif law.covariance is not None:
             reason = "the data also chose the terms"
+        elif not law.values:
+            reason = "has no coefficients"
         else:
             assert len(law.values) > MAX_COEFFICIENTS, name
             reason = "those of a network"
         assert reason in text, name
         reasons[reason] += 1
-    assert len(reasons) == 3, reasons
+    assert len(reasons) == 4, reasons
 
 
 def test_a_model_without_covariance_says_so(table1: FrictionModel) -> None:

@@ -10,6 +10,7 @@ from cosim.study.run import score_study
 from cosim.study.scores import Comparison, compare, predict_models, select_records
 from cosim.study.steps import Job
 from cosim.study.study import Study
+from hesr_model.fitting.estimator import select_laws
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support import parallel
 from hesr_model.support.progress import silent
@@ -80,7 +81,7 @@ def test_a_state_reduces_the_error_at_reversals(without_lag: Comparison) -> None
 
 
 def test_everything_is_written(outcome: ScoredRun) -> None:
-    assert set(outcome.fmus) == {*STUDIED, VARIANT}
+    assert set(outcome.fmus) == {*select_laws("baseline"), *STUDIED, VARIANT}
     for law, fmu in outcome.fmus.items():
         assert fmu.is_file()
         assert FrictionModel.read(fmu.parents[1] / "laws" / f"{law}.json") == outcome.models[law]
