@@ -108,7 +108,8 @@ class Covariance:
     @property
     def standard_errors(self) -> Array:
         """(P,) in the unknowns' units."""
-        return np.sqrt(np.diag(self.matrix))
+        # Round-off of an exact fit may be negative.
+        return np.sqrt(np.maximum(np.diag(self.matrix), 0.0))
 
     def transform(self, names: Sequence[str], slopes: Array) -> "Covariance":
         """Return the covariance of (Q,) functions with derivatives `slopes` (Q, P)."""
