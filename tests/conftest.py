@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 from collections.abc import Callable, Generator
+from dataclasses import replace
 from pathlib import Path
 
 import ci_reports
@@ -325,6 +326,20 @@ def make_motion(arm_model: Robot) -> MakeMotion:
         return Motion(name=name, t=t, q=q, dq=dq, ddq=ddq, tau=tau, q_raw=q)
 
     return make
+
+
+@pytest.fixture
+def one_way(arm_model: Robot, make_motion: MakeMotion) -> Motion:
+    """The first joint turns at one speed, the second one in one direction."""
+    motion = make_motion(friction=3.0, seconds=12.0)
+    q, dq, ddq = (signal.copy() for signal in (motion.q, motion.dq, motion.ddq))
+    q[:, 0], dq[:, 0], ddq[:, 0] = 0.5 * motion.t, 0.5, 0.0
+    phase = 2.0 * motion.t
+    q[:, 1] = motion.t - 0.5 * np.sin(phase)
+    dq[:, 1], ddq[:, 1] = 1.0 - np.cos(phase), 2.0 * np.sin(phase)
+    tau = arm_model.torque(arm_model.nominal_parameters, q, dq, ddq)
+    tau += 3.0 * (np.sign(dq) + 0.5 * dq)
+    return replace(motion, q=q, dq=dq, ddq=ddq, tau=tau, q_raw=q)
 
 
 @pytest.fixture

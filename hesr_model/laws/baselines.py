@@ -19,11 +19,7 @@ from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.laws.stribeck import F_C, SIGMA_2, TAU_0
 from hesr_model.rigid_body.residual import FrictionRecord
-from hesr_model.support.arrays import Array
-
-# Least part of a column that the columns before it do not explain, of its square: a correlation
-# of 0.999. Below it the noise of the velocity would decide the coefficient.
-_MIN_INDEPENDENT_SHARE = 2e-3
+from hesr_model.support.arrays import Array, find_independent_columns
 
 
 def fit_coulomb_viscous(dq: Array, tau: Array) -> tuple[float, float, float]:
@@ -44,7 +40,8 @@ def fit_coulomb_viscous(dq: Array, tau: Array) -> tuple[float, float, float]:
     columns = np.stack([np.sign(dq), dq, np.ones_like(dq)], axis=1)
     free_columns = [0, 1, 2]
     while True:
-        used = _select_independent(columns, free_columns)
+        is_independent = find_independent_columns(columns[:, free_columns])
+        used = [free_columns[k] for k in np.flatnonzero(is_independent)]
         coefficients = np.zeros(3)
         if used:
             coefficients[used] = np.linalg.lstsq(columns[:, used], tau)[0]
@@ -53,19 +50,6 @@ def fit_coulomb_viscous(dq: Array, tau: Array) -> tuple[float, float, float]:
         if forces.min() >= 0.0:
             return float(coefficients[0]), float(coefficients[1]), float(coefficients[2])
         free_columns.remove(int(np.argmin(forces)))
-
-
-def _select_independent(columns: Array, candidates: Sequence[int]) -> list[int]:
-    """Return the candidates that those before them do not explain."""
-    used: list[int] = []
-    for k in candidates:
-        column = columns[:, k]
-        rest = column
-        if used:
-            rest = column - columns[:, used] @ np.linalg.lstsq(columns[:, used], column)[0]
-        if rest @ rest > _MIN_INDEPENDENT_SHARE * float(column @ column):
-            used.append(k)
-    return used
 
 
 class _Baseline(Estimator):

@@ -21,7 +21,7 @@ from hesr_model.rigid_body import identification, least_squares, observations
 from hesr_model.rigid_body.base_parameters import unknown_columns
 from hesr_model.rigid_body.least_squares import Factor, Solution
 from hesr_model.robots.robot import Robot
-from hesr_model.support.arrays import Array
+from hesr_model.support.arrays import Array, Mask, find_independent_columns
 
 
 class StreamedProblem:
@@ -67,12 +67,34 @@ class StreamedProblem:
                 rows = zip(self._factors, blocks, strict=True)
                 self._factors = [factor.add_rows(block) for factor, block in rows]
 
+    def _find_determined_friction(self) -> Mask:
+        """Return the columns of `observations.find_determined_friction` for all motions."""
+        # Triangular factors have the products of the columns.
+        first = len(self._base)
+        is_determined = self._friction.copy()
+        ends = first + np.cumsum(np.sum(self._friction, axis=1))
+        for j, factor in enumerate(self._factors):
+            columns = factor.triangle[:, ends[j] - np.sum(self._friction[j]) : ends[j]]
+            is_determined[j, self._friction[j]] = find_independent_columns(columns)
+        return is_determined
+
+    def _hold_friction(self, is_determined: Mask) -> None:
+        """Leave the other columns of friction out."""
+        is_used = np.concatenate(
+            [np.ones(len(self._base), dtype=bool), is_determined[self._friction], [True]]
+        )
+        self._factors = [
+            replace(factor, triangle=factor.triangle[:, is_used]) for factor in self._factors
+        ]
+        self._friction = is_determined
+
     def body(
         self, motions: Sequence[Motion] | Callable[[], Iterable[Motion]], where: str
     ) -> identification.RigidBody:
         """Return the rigid body, with the covariance of some or all `motions`; raises FitError."""
         robot = self._robot
         base = self._base
+        self._hold_friction(self._find_determined_friction())
         friction = self._friction
         identification.require_samples(where, self.rows, len(base) + int(np.sum(friction)))
         identification.require_speed(

@@ -333,17 +333,18 @@ def fit_friction(body: RigidBody, motions: Sequence[Motion], robot: Robot) -> Ar
     dq = observations.friction_speeds(motions, robot)
     residual = np.concatenate([motion.tau - body.torque(robot, motion) for motion in motions])
     residual = _to_friction_torque(residual, robot)
-    has_offset = observations.find_determined_offsets(motions, robot)
+    is_determined = observations.find_determined_friction(motions, robot)
     friction = np.zeros((robot.n, 3))
     for j, is_fast in enumerate(observations.find_fast_rows(motions, robot)):
-        joint_dq = dq[is_fast, j]
-        columns = [np.sign(joint_dq), joint_dq]
-        if has_offset[j]:  # of either sign
-            columns += [np.ones_like(joint_dq), -np.ones_like(joint_dq)]
-        coefficients, _ = nnls(np.column_stack(columns), residual[is_fast, j])
-        friction[j, :2] = coefficients[:2]
-        if has_offset[j]:
-            friction[j, 2] = coefficients[2] - coefficients[3]
+        if not np.any(is_determined[j]):
+            continue
+        coulomb, viscous, offset = observations.stack_friction(dq[is_fast, j]).T
+        # The offset has either sign.
+        columns = np.column_stack([coulomb, viscous, offset, -offset])
+        is_used = is_determined[j][[0, 1, 2, 2]]
+        coefficients = np.zeros(4)
+        coefficients[is_used], _ = nnls(columns[:, is_used], residual[is_fast, j])
+        friction[j] = *coefficients[:2], coefficients[2] - coefficients[3]
     return friction
 
 

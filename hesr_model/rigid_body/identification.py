@@ -330,7 +330,10 @@ def _identify(
     all_motions = [*motions, *reversed_motions]
     base = unknown_columns(robot, rotors=bool(forms))
     friction = observations.friction_columns(robot, base) & (method == "stacked")
-    friction[:, 2] &= observations.find_determined_offsets(all_motions, robot)
+    is_determined = observations.find_determined_friction(all_motions, robot)
+    if forms:
+        is_determined[:, :2] = True  # columns of links, which `add_gears` fills
+    friction &= is_determined
     where = "log " + ", ".join(motion.name for motion in all_motions)
     link_columns = len(base) + np.cumsum(friction).reshape(friction.shape)[:, :2] - 1
     rows = sum(len(motion.t) for motion in all_motions)

@@ -13,11 +13,10 @@ from hesr_model.rigid_body.base_parameters import find_independent_offsets, know
 from hesr_model.rigid_body.least_squares import Block
 from hesr_model.robots.robot import Robot
 from hesr_model.robots.transmission import transform_motion
-from hesr_model.support.arrays import Array, Integers, Mask
+from hesr_model.support.arrays import Array, Integers, Mask, find_independent_columns
 
 _MAX_SHIFT = 0.5  # latency [s] of command and measurement, which reversal keeps
 _MAX_MISMATCH = 0.1  # position mismatch [rad]; 20 mrad are harmless
-_MAX_COSINE = 0.999  # of Coulomb and offset columns that are told apart
 
 
 def match_motions(forward: Motion, backward: Motion) -> tuple[Motion, Motion]:
@@ -123,19 +122,26 @@ def friction_columns(robot: Robot, base: tuple[int, ...]) -> Mask:
     return columns
 
 
-def find_determined_offsets(motions: Sequence[Motion], robot: Robot) -> Mask:
-    """Return whether each joint's offset (n,) differs from Coulomb friction: it moves both ways.
+def find_determined_friction(motions: Sequence[Motion], robot: Robot) -> Mask:
+    """Return whether motions tell each Coulomb, viscous and offset column (n, 3) from the others.
 
-    Otherwise least squares can give both any size, with opposite signs.
+    One direction does not separate Coulomb friction from an offset, one speed not from viscous
+    friction. Least squares could give both any size, with opposite signs.
     """
     if not motions:
-        return np.ones(robot.n, dtype=bool)
-    min_speeds = slow_speeds(peak_speeds(motions, robot))
+        return np.ones((robot.n, 3), dtype=bool)
     dq = friction_speeds(motions, robot)
-    directions = np.where(np.abs(dq) > min_speeds, np.sign(dq), 0.0)
-    row_counts = np.maximum(np.sum(np.abs(directions), axis=0), 1.0)
-    # The cosine of the two columns: the mean direction of motion.
-    return np.asarray(np.abs(np.sum(directions, axis=0)) <= _MAX_COSINE * row_counts)
+    return np.array(
+        [
+            find_independent_columns(stack_friction(dq[is_fast, j]))
+            for j, is_fast in enumerate(find_fast_rows(motions, robot))
+        ]
+    )
+
+
+def stack_friction(dq: Array) -> Array:
+    """Return the Coulomb, viscous and offset columns (N, 3) of a joint's velocity (N,)."""
+    return np.column_stack([np.sign(dq), dq, np.ones_like(dq)])
 
 
 def label_samples(motions: Sequence[Motion]) -> Integers:
@@ -174,7 +180,7 @@ def stack_blocks(
     for j, is_fast in enumerate(find_fast_rows(motions, robot, min_speeds)):
         joint_dq = dq[is_fast, j]
         friction_rows = np.zeros((len(joint_dq), n, 3))
-        friction_rows[:, j] = np.column_stack([np.sign(joint_dq), joint_dq, np.ones_like(joint_dq)])
+        friction_rows[:, j] = stack_friction(joint_dq)
         matrix = np.hstack([regressor[is_fast, j], friction_rows[:, friction]])
         blocks.append(Block(matrix=matrix, target=tau[is_fast, j], samples=np.flatnonzero(is_fast)))
     return blocks

@@ -87,6 +87,7 @@ def identify_payload_motions(
     ]
     columns = _last_link_columns(robot)
     friction = observations.friction_columns(robot, columns)
+    friction &= observations.find_determined_friction(payload_motions, robot)
     blocks = observations.stack_blocks(payload_motions, robot, columns, friction)
     solution = solve(blocks, scale=compute_scale(robot, columns, friction), weighted=True)
     if solution.ridge:

@@ -12,6 +12,10 @@ Mask = NDArray[np.bool_]
 Integers = NDArray[np.int_]
 Record = TypeVar("Record")
 
+# Least part of a column that the columns before it do not explain, of its square: a correlation
+# of 0.999. Below it noise would decide the coefficient.
+_MIN_INDEPENDENT_SHARE = 2e-3
+
 
 def get_arrays(record: Any) -> dict[str, Any]:
     """Return the arrays of a data class by name."""
@@ -40,3 +44,15 @@ def rms(errors: Array, axis: int | tuple[int, ...] | None = 0) -> Array:
     """Return the root mean square over axes, silently infinite or NaN."""
     with np.errstate(all="ignore"):
         return np.asarray(np.sqrt(np.mean(np.square(errors), axis=axis)))
+
+
+def find_independent_columns(columns: Array) -> Mask:
+    """Return whether each of the columns (N, K) is not explained by those before it, (K,)."""
+    used: list[int] = []
+    for k, column in enumerate(columns.T):
+        rest = column
+        if used:
+            rest = column - columns[:, used] @ np.linalg.lstsq(columns[:, used], column)[0]
+        if rest @ rest > _MIN_INDEPENDENT_SHARE * float(column @ column):
+            used.append(k)
+    return np.isin(np.arange(columns.shape[1]), used)

@@ -12,6 +12,7 @@ from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.rigid_body.observations import (
     arrange_by_joint,
     average_blocks,
+    find_determined_friction,
     friction_columns,
     match_motions,
     peak_speeds,
@@ -145,3 +146,19 @@ def test_the_position_gap_is_that_of_the_best_shift() -> None:
     with pytest.raises(FitError) as caught:
         match_motions(forward, backward)
     assert f"differ by {min(distances):.3g} rad on average" in str(caught.value)
+
+
+def test_friction_that_a_motion_does_not_separate_has_no_columns(
+    arm_model: Robot, make_motion: MakeMotion
+) -> None:
+    """One direction, one speed in two directions, and both at once."""
+    usual = make_motion(seconds=10.0)
+    assert np.all(find_determined_friction([usual], arm_model))
+    dq = np.abs(usual.dq) + 0.2
+    dq[:, 1] = 0.5 * np.where(usual.t < 4.0, 1.0, -1.0)
+    dq[:, 2] = -0.5
+    found = find_determined_friction([replace(usual, dq=dq)], arm_model)
+    np.testing.assert_array_equal(
+        found, [[True, True, False], [True, False, True], [True, False, False]]
+    )
+    assert not np.any(find_determined_friction([replace(usual, dq=0.0 * dq)], arm_model))

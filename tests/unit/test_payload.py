@@ -165,3 +165,13 @@ def test_the_body_of_another_robot_is_refused(
     other = Robot(arm.model_copy(update={"name": "bare", "rotor_inertia": False}))
     with pytest.raises(RobotError, match="rigid body of 'arm' with 33"):
         identify_payload_motions([carried], other, unloaded)
+
+
+def test_one_way_motion_that_hides_parts_of_friction_determines_a_payload(
+    arm_model: Robot, unloaded: RigidBody, one_way: Motion
+) -> None:
+    payload = identify_payload_motions(
+        [under_load(one_way, arm_model, PAYLOAD)], arm_model, unloaded
+    )
+    np.testing.assert_allclose(payload.parameters[:4], PAYLOAD[:4], atol=1e-3)
+    assert np.all(payload.friction[[0, 1], 2] == 0.0)

@@ -147,6 +147,18 @@ def test_short_noisy_logs_give_possible_bodies_that_predict_better(
     assert np.all(np.mean(errors[True], axis=0) < np.mean(errors[False], axis=0))
 
 
+def test_friction_that_one_way_motion_does_not_separate_decides_nothing(
+    guessed: Robot, one_way: Motion, make_motion: MakeMotion
+) -> None:
+    """Friction of the first joint is that of one speed, of the second one has no offset."""
+    body = identify_motions([one_way], guessed, physical=True)
+    np.testing.assert_allclose(body.friction[0], [3.0 + 0.5 * 1.5, 0.0, 0.0], atol=0.02)
+    np.testing.assert_allclose(body.friction[1:], [[3.0, 1.5, 0.0]] * 2, atol=0.02)
+    other = make_motion(seconds=7.0)
+    # The first joint never accelerates, so that its rotor stays that of the model file.
+    np.testing.assert_allclose(body.torque(guessed, other)[:, 1:], other.tau[:, 1:], atol=1e-3)
+
+
 def test_undetermined_parameters_stay_as_in_the_model_file(
     guessed: Robot, make_motion: MakeMotion, caplog: pytest.LogCaptureFixture
 ) -> None:

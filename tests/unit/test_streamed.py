@@ -91,3 +91,15 @@ def test_too_few_rows_are_refused(arm_model: Robot, motions: list[Motion]) -> No
     still.add(replace(motions[0], dq=0.0 * motions[0].dq))
     with pytest.raises(FitError, match="robot 'R7': joint 'j1' is never faster than"):
         still.body([motions[0]], "robot 'R7'")
+
+
+def test_friction_that_one_way_motion_does_not_separate_is_left_out_as_in_the_batch(
+    arm_model: Robot, one_way: Motion
+) -> None:
+    noise = 0.1 * np.random.default_rng(1).standard_normal(one_way.tau.shape)
+    one_way = replace(one_way, tau=one_way.tau + noise)
+    batch = identify_motions([one_way], arm_model)
+    np.testing.assert_array_equal(
+        batch.friction != 0.0, [[True, False, False], [True, True, False], [True, True, True]]
+    )
+    assert_alike(of(arm_model, [one_way]), batch)
