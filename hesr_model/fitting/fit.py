@@ -19,6 +19,7 @@ from hesr_model.fitting.calibration import calibrate_band
 from hesr_model.fitting.days import Nuisance, estimate_nuisances, remove_nuisances
 from hesr_model.fitting.declarative import OneForm
 from hesr_model.fitting.estimator import estimator
+from hesr_model.fitting.motion_scale import fit_in_own_units
 from hesr_model.fitting.uncertainty import add_standard_errors, pool_errors
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
@@ -87,12 +88,16 @@ def fit_joint(
             f"joint '{joint_records[0].joint}': its friction torque reaches {largest:g}; law "
             f"'{law_name}' cannot be fitted to it; see 'hesr inspect'."
         )
-    with threadpool_limits(1), _fail_as_fit_error(law_name, joint_records[0].joint):
-        law = law_estimator.fit(joint_records, np.random.default_rng(seed))
+
+    def fit_law(records: Sequence[FrictionRecord]) -> FrictionLaw:
+        law = law_estimator.fit(records, np.random.default_rng(seed))
         space = (
             law_estimator.build_fitted_space(law) if isinstance(law_estimator, OneForm) else None
         )
-        law = add_standard_errors(law, joint_records, space)
+        return add_standard_errors(law, records, space)
+
+    with threadpool_limits(1), _fail_as_fit_error(law_name, joint_records[0].joint):
+        law = fit_in_own_units(law_estimator, joint_records, fit_law)
         _require_finite_errors(law)
         return law
 

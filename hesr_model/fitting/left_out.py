@@ -24,6 +24,7 @@ from hesr_model.logs.signals import Motion, reversals
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import (
     FrictionRecord,
+    find_resting_speed,
     motion_records,
     transform_all_records,
     transform_records,
@@ -111,9 +112,7 @@ def _collect_fold(
     judged_logs = [k for k, rows in enumerate(fold.judged) if rows.any()]
     training = [list(joint_records) for joint_records in zip(*records, strict=True)]
     training = transform_all_records(training) if training else []
-    reverses = [
-        any(len(reversals(record.dq)) > 0 for record in joint_records) for joint_records in training
-    ]
+    reverses = [_reverses(joint_records) for joint_records in training]
     return _FoldData(
         training=training,
         reverses=reverses or [False] * robot.n,
@@ -121,6 +120,11 @@ def _collect_fold(
         judged_records=[motion_records(motions[k], robot, body) for k in judged_logs],
         judged_rows=[fold.judged[k] for k in judged_logs],
     )
+
+
+def _reverses(joint_records: JointRecords) -> bool:
+    resting_speed = find_resting_speed(joint_records)
+    return any(len(reversals(record.dq, resting_speed)) > 0 for record in joint_records)
 
 
 def _judge_law(

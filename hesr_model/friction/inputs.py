@@ -17,4 +17,4 @@ QUANTITIES = (_VELOCITY, _POSITION, _LOAD)  # inputs of laws, in the order used 
 INPUTS = tuple(quantity.symbol for quantity in QUANTITIES)
 INPUT_UNITS = {quantity.name: quantity.unit for quantity in QUANTITIES}  # units for revolute joints
 TORQUE = "tau"  # name of a law's output
-MOVING = 0.02  # smallest initial speed [rad/s, m/s] of a steady start
+MOVING = 0.02  # smallest initial speed [rad/s, m/s] of a steady start, of joints of usual speed

@@ -25,8 +25,14 @@ from hesr_model.friction.inputs import DQ, MOVING, QUANTITIES, TORQUE
 from hesr_model.inference.covariance import Covariance
 from hesr_model.units import unit_of_joint
 
-_SPEED = clip(absolute(DQ) / sympy.Float(MOVING), 1)
-SETTLING = _SPEED**2 * (3 - 2 * _SPEED)  # 0 at rest, where the history is unknown, to 1 in motion
+
+def build_settling(steady_speed: float) -> sympy.Expr:
+    """Return the share of the steady state in a start: 0 at rest, 1 from `steady_speed` on."""
+    speed = clip(absolute(DQ) / sympy.Float(steady_speed), 1)
+    return speed**2 * (3 - 2 * speed)
+
+
+SETTLING = build_settling(MOVING)  # of joints of usual speed
 
 _MAX_COEFFICIENT = 1e100  # largest allowed coefficient; a product of three stays finite
 
@@ -36,13 +42,25 @@ Coefficient = Quantity  # constant of a law
 
 @dataclass(frozen=True, kw_only=True)
 class LawForm:
-    """Expressions of a law, without numbers; ArtifactError for unknown or repeated symbols."""
+    """Expressions of a law, without numbers; ArtifactError for unknown or repeated symbols.
+
+    A motion that starts at `steady_speed` [rad/s, m/s] or faster starts in the steady state; at
+    rest the history is unknown. Slow joints have a lower one.
+    """
 
     coefficients: tuple[Coefficient, ...]
     memory: tuple[Element, ...] = ()
     output: sympy.Expr
+    steady_speed: float = MOVING
 
     def __post_init__(self) -> None:
+        if not (isfinite(self.steady_speed) and self.steady_speed > 0.0):
+            raise ArtifactError(
+                f"friction law: the speed of a steady start is {self.steady_speed}; expected a "
+                "positive number.",
+                code="law.steady_speed",
+                key="steady_speed",
+            )
         try:
             self.component  # noqa: B018 - raises what is wrong
         except ArtifactError as error:
@@ -68,7 +86,7 @@ class LawForm:
             memory=self.memory,
             equations=(torque,),
             reversing=(DQ,),
-            settling=SETTLING,
+            settling=build_settling(self.steady_speed),
         )
 
     @property

@@ -1,7 +1,7 @@
 """JSON form of a friction model: names, structures, numbers and units, never code."""
 
 from collections.abc import Mapping, ValuesView
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from pydantic import StrictBool
@@ -10,6 +10,7 @@ from hesr_model.equations.memory import Discretisation
 from hesr_model.errors import ArtifactError
 from hesr_model.fitting.estimator import estimator
 from hesr_model.friction.band import Band
+from hesr_model.friction.inputs import MOVING
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.thermal import Thermal
 from hesr_model.friction.trained_range import TrainedRange
@@ -42,6 +43,8 @@ class JointEntry:
     discretisation: Discretisation
     start: tuple[float, ...]
     start_samples: int = 0
+    # Written for slow joints only.
+    steady_speed: float | None = None
     covariance: Covariance | None = None
     band: Band | None = None
     trained: TrainedRange | None = None
@@ -53,7 +56,9 @@ class JointEntry:
     def from_law(cls, law: FrictionLaw, **joint_fields: Any) -> Self:
         """Return the entry of a law; `joint_fields` are the fields outside the law."""
         units = {quantity.name: quantity.unit for quantity in law.form.coefficients}
+        has_usual_start = law.form.steady_speed == MOVING
         return cls(
+            steady_speed=None if has_usual_start else law.form.steady_speed,
             law=law.name,
             structure=law.structure,
             coefficients={
@@ -77,6 +82,8 @@ class JointEntry:
                 key="coefficients",
             )
         form = estimator(self.law).form(self.structure)
+        if self.steady_speed is not None:
+            form = replace(form, steady_speed=self.steady_speed)
         entries = self.coefficients
         for coefficient in form.coefficients:
             entry = entries.get(coefficient.name)

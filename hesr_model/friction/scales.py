@@ -66,7 +66,7 @@ def add_scales(form: LawForm) -> LawForm:
         *(level * term for term in parts["carried"]),  # no factor is left in linear terms
         *parts["unscaled"],
     )
-    return LawForm(coefficients=(*form.coefficients, *SCALES), memory=memory, output=output)
+    return replace(form, coefficients=(*form.coefficients, *SCALES), memory=memory, output=output)
 
 
 def scale_element(element: Element, level: sympy.Expr) -> Element:

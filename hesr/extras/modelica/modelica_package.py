@@ -20,7 +20,7 @@ from hesr_model.audit.audit import Audit
 from hesr_model.equations.functions import sgn
 from hesr_model.equations.memory import DT
 from hesr_model.errors import ExportError
-from hesr_model.friction.inputs import INPUT_UNITS, INPUTS, MOVING, TAU_LOAD
+from hesr_model.friction.inputs import INPUT_UNITS, INPUTS, TAU_LOAD
 from hesr_model.friction.law import FrictionLaw, LawForm, coefficient_lines
 from hesr_model.friction.law import equations as equations_with_numbers
 from hesr_model.friction.model import FrictionModel
@@ -178,7 +178,7 @@ def _describe_form(name: str, law: FrictionLaw) -> dict[str, Any]:
         "states": [(element.name, element.unit) for element in form.memory],
         "equations": equations,
         "steady": _STEADY_START if equations.beginning else "",
-        "moving": f"{MOVING:g}",
+        "moving": f"{form.steady_speed:g}",
     }
 
 

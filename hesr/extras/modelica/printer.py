@@ -15,7 +15,7 @@ from fmu_src.equations.printer import LanguagePrinter
 from hesr_model.equations.functions import absolute, sgn
 from hesr_model.equations.memory import DT, Relaxation
 from hesr_model.equations.program import Jumps, initial_state, initial_symbol
-from hesr_model.friction.law import SETTLING, LawForm
+from hesr_model.friction.law import LawForm
 
 _FUNCTION_NAMES = "abs acos asin atan atan2 cos cosh der exp log sign sin sinh sqrt tan tanh"
 FUNCTIONS = tuple(_FUNCTION_NAMES.split())  # functions and operators of Modelica in use
@@ -105,7 +105,7 @@ def print_equations(form: LawForm) -> Equations:
 def _find_initial_equations(form: LawForm) -> dict[str, sympy.Expr]:
     if any(element.seeks for element in form.memory):
         return {}
-    initial_expressions = initial_state(form.memory, SETTLING)
+    initial_expressions = initial_state(form.memory, form.component.settling)
     names = {
         element.state: sympy.Symbol(name_start_value(element.name), real=True)
         for element in form.memory

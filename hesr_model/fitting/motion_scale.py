@@ -1,0 +1,121 @@
+"""Fits of slow joints in a unit of length in which their peak is about 0.2 rad/s.
+
+Bounds, starts and thresholds of laws are those of usual joints: a fretting rig of 0.3 mm/s or a
+cylinder of 18 mm/s is outside them. What a slow joint's law learns is converted back by the units
+of its coefficients; forces and times stay.
+"""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from hesr_model.fitting.estimator import Estimator, estimator
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.records import predict_record
+from hesr_model.logs.rest import MOVING, MOVING_SHARE
+from hesr_model.rigid_body.residual import FrictionRecord, find_resting_speed, require_reversals
+
+_LENGTH = re.compile(r"\brad(\d*)")
+_MAX_CHANGE = 1e-6  # of the largest torque: round-off of another unit, not a length in the form
+
+
+def fit_in_own_units(
+    law_estimator: Estimator,
+    joint_records: Sequence[FrictionRecord],
+    fit: Callable[[Sequence[FrictionRecord]], FrictionLaw],
+) -> FrictionLaw:
+    """Return what `fit` gives for records in a unit of length that suits the joint's speed.
+
+    A form with lengths of its own, as stops of given deflections, is fitted in true units.
+    """
+    scale = _choose_scale(law_estimator, joint_records)
+    if scale == 1.0:
+        return fit(joint_records)
+    require_reversals(joint_records)  # names the true speeds
+    scaled_records = [scale_motion(record, scale) for record in joint_records]
+    scaled_law = fit(scaled_records)
+    law = unscale_law(scaled_law, scale)
+    for record, scaled_record in zip(joint_records, scaled_records, strict=True):
+        torque = predict_record(scaled_law, scaled_record)
+        change = np.abs(predict_record(law, record) - torque)
+        if not np.max(change) <= _MAX_CHANGE * np.max(np.abs(torque)):
+            return fit(joint_records)
+    return law
+
+
+def _choose_scale(law_estimator: Estimator, joint_records: Sequence[FrictionRecord]) -> float:
+    """Return the scale of the motion for a law, 1 for those that it cannot help."""
+    if law_estimator.baseline or law_estimator.form(law_estimator.typical).stops:
+        return 1.0
+    return find_motion_scale(joint_records)
+
+
+def find_motion_scale(joint_records: Sequence[FrictionRecord]) -> float:
+    """Return the factor that brings a slow joint's peak near 0.2 rad/s, 1 for rest or fast joints.
+
+    A power of two keeps all digits, so that the same motion in other units gives the same fit.
+    """
+    if find_resting_speed(joint_records) >= MOVING:
+        return 1.0
+    peak = max(float(np.max(np.abs(record.dq))) for record in joint_records)
+    exponent = round(np.log2(MOVING / MOVING_SHARE / peak))
+    return float(2.0 ** max(exponent, 0))
+
+
+def scale_motion(record: FrictionRecord, scale: float) -> FrictionRecord:
+    """Return a record whose positions and velocities are multiplied by `scale`."""
+    causal = None if record.dq_causal is None else scale * record.dq_causal
+    # The motor turns as far as before.
+    gear_ratio = None if record.gear_ratio is None else record.gear_ratio / scale
+    return replace(
+        record,
+        q=scale * record.q,
+        dq=scale * record.dq,
+        dq_causal=causal,
+        gear_ratio=gear_ratio,
+    )
+
+
+def unscale_law(law: FrictionLaw, scale: float) -> FrictionLaw:
+    """Return the law of the original motion, given that of the motion times `scale`."""
+    structure: dict[str, Any] = dict(law.structure)
+    if "gear_ratio" in structure.get("ripple", ()):
+        ripple = structure["ripple"]
+        structure["ripple"] = {**ripple, "gear_ratio": scale * ripple["gear_ratio"]}
+    form = estimator(law.name).form(structure)
+    form = replace(form, steady_speed=law.form.steady_speed / scale)
+    factors = {
+        quantity.name: scale ** -find_length_power(quantity.unit) for quantity in form.coefficients
+    }
+    start = [
+        scale ** -find_length_power(element.unit) * value
+        for element, value in zip(form.memory, law.start, strict=True)
+    ]
+    covariance = law.covariance
+    if covariance is not None:
+        slopes = np.diag([factors[name] for name in covariance.names])
+        covariance = covariance.transform(covariance.names, slopes)
+    return replace(
+        law,
+        structure=structure,
+        form=form,
+        values={name: factors[name] * value for name, value in law.values.items()},
+        start=tuple(start),
+        standard_errors={
+            name: factors[name] * error for name, error in law.standard_errors.items()
+        },
+        covariance=covariance,
+    )
+
+
+def find_length_power(unit: str) -> int:
+    """Return the power of rad in a unit as ``N.m.s2/rad2``."""
+    numerator, _, denominator = unit.partition("/")
+    return _count_lengths(numerator) - _count_lengths(denominator)
+
+
+def _count_lengths(unit: str) -> int:
+    return sum(int(power or 1) for power in _LENGTH.findall(unit))
