@@ -40,6 +40,8 @@ def make_errors(
         errors=columns,
         joint_errors=columns,
         tau=tuple(np.tile(column[:, None], joint_count) for column in measured),
+        dq=tuple(np.tile(np.sign(column[:, None]), joint_count) for column in measured),
+        tau_load=tuple(np.zeros((rows, joint_count)) for rows in row_counts),
         counts=np.ones((FOLDS, joint_count), dtype=bool) if counts is None else counts,
         failed=failed or {},
     )

@@ -9,9 +9,11 @@ import numpy as np
 
 from cosim.study.verdict import describe_choice
 from hesr_model.audit.certificate import has_proof
+from hesr_model.fitting.calibration import recalibrate_band
 from hesr_model.fitting.estimator import estimator, select_laws
 from hesr_model.fitting.fit import fit_models
 from hesr_model.fitting.left_out import judge_laws
+from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel, can_share_fmu, mix_models
 from hesr_model.inference.choice import CHOOSE, LawChoice, choose_laws
 from hesr_model.inference.folds import split_into_folds
@@ -86,15 +88,29 @@ def fit_chosen_laws(
         report_left_out=lambda *_: None,
     )
     choice = choose_from_models(models, errors)
-    chosen = [add_left_out_rmse(models[law_name], errors) for law_name in choice.laws]
+    chosen = [add_left_out_errors(models[law_name], errors) for law_name in choice.laws]
     model = chosen[0] if len(set(choice.laws)) == 1 else mix_models(chosen)
     source = {**model.provenance, CHOOSE: list(describe_choice(choice))}
     return replace(model, provenance=source), choice
 
 
-def add_left_out_rmse(model: FrictionModel, errors: LeftOutErrors) -> FrictionModel:
-    """Return a model with its errors on left-out rows, if all joints have them."""
+def add_left_out_errors(model: FrictionModel, errors: LeftOutErrors) -> FrictionModel:
+    """Return a model with its errors on left-out rows, if all joints have them, and their bands."""
     if model.law not in errors.laws:
         return replace(model, left_out_rmse=())
     rmse = tuple(errors.rmse(model.law, j) for j in range(len(model.joints)))
-    return replace(model, left_out_rmse=rmse if np.all(np.isfinite(rmse)) else ())
+    laws = tuple(_recalibrate_law(law, model.law, errors, j) for j, law in enumerate(model.laws))
+    return replace(model, laws=laws, left_out_rmse=rmse if np.all(np.isfinite(rmse)) else ())
+
+
+def _recalibrate_law(law: FrictionLaw, law_name: str, errors: LeftOutErrors, j: int) -> FrictionLaw:
+    """Return a joint's law with the band of its errors on left-out rows."""
+    if law.band is None or not errors.fold_counts(j):
+        return law
+    signals = (errors.dq, errors.tau_load, errors.errors[law_name])
+    rows = errors.judged_rows(j)
+    dq, tau_load, torque_error = (
+        np.concatenate([log_signal[mask, j] for log_signal, mask in zip(signal, rows, strict=True)])
+        for signal in signals
+    )
+    return replace(law, band=recalibrate_band(law.band, dq, tau_load, torque_error))

@@ -10,7 +10,7 @@ from typing import Any
 
 from cosim.loop.traces import Following, LoopOutcome, complete_loops
 from cosim.study.forecast import Forecast
-from cosim.study.law_choice import add_left_out_rmse, choose_from_models
+from cosim.study.law_choice import add_left_out_errors, choose_from_models
 from cosim.study.position_errors import SIMULATION, simulate_tests
 from cosim.study.replicates import Replicates, write_replicates
 from cosim.study.results import TRUTHS, ScoredRun, record_files, save_run, write_findings
@@ -207,7 +207,7 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
 
     left_out_errors = job.judge_laws(logs, robot, body, list(models))
     models = {
-        law_name: add_left_out_rmse(model, left_out_errors) for law_name, model in models.items()
+        law_name: add_left_out_errors(model, left_out_errors) for law_name, model in models.items()
     }
     if not study.logs.test:  # a law that failed without a part of the logs has no error to show
         models = {name: model for name, model in models.items() if name in left_out_errors.laws}

@@ -7,6 +7,8 @@ the errors outside the training data are
 
 Their variance is that of the coefficients, extrapolated by `band.shapes`, plus noise, found by
 maximum likelihood of normal errors with non-negative shares and scaled to contain 95 % of them.
+Where errors on rows are known that the rigid body was not identified from either, they decide the
+scale (`recalibrate_band`).
 """
 
 from collections.abc import Sequence
@@ -15,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from hesr_model.fitting.joint_rows import log_of_rows
-from hesr_model.friction.band import LEVEL, Band, shapes
+from hesr_model.friction.band import LEVEL, REST, Band, shapes
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.records import predict_record
 from hesr_model.inference.covariance import blocks_of_time
@@ -32,6 +34,8 @@ _MIN_RELATIVE_VARIANCE = 1e-10  # relative variance of directions that were not 
 _SHARE_ROUNDS = 100
 _MAX_SHARE_ROWS = 4000  # rows for the shares; quantiles use all
 _TINY_VARIANCE = 1e-30
+_MIN_LEFT_OUT_ROWS = 100  # for a quantile of 95 %
+_SIZE_NAMES = ("floor", "slow", "rest", "fast", "load")  # in the order of `shapes`
 
 
 def calibrate_band(
@@ -81,6 +85,30 @@ def calibrate_band(
         envelope=0.0 if has_rests else 1.0,
     )
     return replace(law, band=band), float(np.sqrt(np.mean(errors**2)))
+
+
+def recalibrate_band(band: Band, dq: Array, tau_load: Array, errors: Array) -> Band:
+    """Return the band, widened or narrowed to contain 95 % of errors on left-out rows in motion.
+
+    Errors of fits know the rigid body's own rows; on others, the body is wrong as well, by more
+    than its covariance says.
+
+    Parameters
+    ----------
+    band : band of a joint, from the errors of its fit.
+    dq, tau_load, errors : (N,) [rad/s], [N.m], [N.m] of rows that neither body nor law was
+        fitted to.
+    """
+    is_moving = np.abs(dq) >= REST  # the band at rest is another one
+    if np.count_nonzero(is_moving) < _MIN_LEFT_OUT_ROWS or not np.all(np.isfinite(errors)):
+        return band
+    sizes = np.array([getattr(band, name) for name in _SIZE_NAMES])
+    columns = np.stack(shapes(dq[is_moving], tau_load[is_moving], band.slow_speed), axis=1)
+    half_widths = np.sqrt(columns @ sizes**2 + _TINY_VARIANCE)
+    standardised = np.abs(errors[is_moving]) / half_widths
+    factor = float(np.quantile(standardised, LEVEL))
+    changes = dict(zip(_SIZE_NAMES, map(float, factor * sizes), strict=True))
+    return replace(band, tail=_fit_tail(standardised, factor), **changes)
 
 
 def _cross_validate_band(

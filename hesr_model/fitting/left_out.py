@@ -228,10 +228,9 @@ def _assemble(
             for law_name, law_errors in joint_errors.items()
         },
         joint_errors=joint_errors,
-        tau=tuple(
-            _collect_friction(fold_data, k, len(motion.t), robot.n)
-            for k, motion in enumerate(motions)
-        ),
+        tau=_collect_signal("tau", fold_data, motions, robot.n),
+        dq=_collect_signal("dq", fold_data, motions, robot.n),
+        tau_load=_collect_signal("tau_load", fold_data, motions, robot.n),
         counts=np.array([data.reverses for data in fold_data]),
         failed=failed,
     )
@@ -244,15 +243,16 @@ def _number_folds(folds: Sequence[Fold], log: int) -> Integers:
     return numbers
 
 
-def _collect_friction(fold_data: Sequence[_FoldData], log: int, rows: int, n: int) -> Array:
-    """Return the friction (N, n) [N.m] of a log at friction coordinates, by each fold's body."""
-    tau = np.full((rows, n), np.nan)
+def _collect_signal(
+    name: str, fold_data: Sequence[_FoldData], motions: Sequence[Motion], n: int
+) -> tuple[Array, ...]:
+    """Return a signal of records by log, (N, n), at friction coordinates, by each fold's body."""
+    values = tuple(np.full((len(motion.t), n), np.nan) for motion in motions)
     for data in fold_data:
         for k, log_records, judged in _judged_records(data):
-            if k == log:
-                columns = [record.tau for record in transform_records(log_records)]
-                tau[judged] = np.column_stack(columns)[judged]
-    return tau
+            columns = [getattr(record, name) for record in transform_records(log_records)]
+            values[k][judged] = np.column_stack(columns)[judged]
+    return values
 
 
 def _judged_records(data: _FoldData) -> Iterator[tuple[int, list[FrictionRecord], Mask]]:

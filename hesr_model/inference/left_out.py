@@ -35,6 +35,7 @@ class LeftOutErrors:
         (N, n) [N.m].
     joint_errors : the same at joints; equal to `errors` for uncoupled joints.
     tau : by log, measured friction (N, n) [N.m] that `errors` refer to.
+    dq, tau_load : by log, velocity [rad/s] and load [N.m] of these rows, (N, n).
     counts : (folds, n) whether a fold judges a joint: its training part reverses the joint.
     failed : reasons of laws that cannot be fitted in a fold, by law.
     """
@@ -46,6 +47,8 @@ class LeftOutErrors:
     errors: Mapping[str, tuple[Array, ...]]
     joint_errors: Mapping[str, tuple[Array, ...]]
     tau: tuple[Array, ...]
+    dq: tuple[Array, ...]
+    tau_load: tuple[Array, ...]
     counts: Mask
     failed: Mapping[str, str]
 
@@ -104,6 +107,10 @@ class LeftOutErrors:
     def block_count(self, j: int) -> int:
         """Return the number of blocks that are judged on a joint."""
         return int(np.count_nonzero(self._is_counted[:, j]))
+
+    def judged_rows(self, j: int) -> list[Mask]:
+        """Return by log the rows (N,) that a fold judges on a joint."""
+        return [self.counts[fold_numbers, j] for fold_numbers in self.fold_of_row]
 
     def rmse(self, law_name: str, j: int, fold: int | None = None) -> float:
         """Return the RMSE [N.m] of a law on a joint over all folds that judge it, or over one.

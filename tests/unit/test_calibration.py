@@ -7,8 +7,9 @@ import pytest
 from joint_data import along, law, path, with_tau
 
 from hesr_model.errors import ArtifactError, SimulationError
-from hesr_model.fitting.calibration import calibrate_band
+from hesr_model.fitting.calibration import calibrate_band, recalibrate_band
 from hesr_model.fitting.uncertainty import add_standard_errors
+from hesr_model.friction.band import REST, Band, shapes
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.residual import FrictionRecord, transform_records
@@ -132,3 +133,37 @@ def test_squares_of_the_bands_of_coupled_motors_add(banded: FrictionLaw) -> None
             width = np.hypot(own[:, 0], other[:, 1])
             np.testing.assert_allclose(end[:, 0], first[:, 0] + way * width, atol=1e-12)
             np.testing.assert_allclose(end[:, 1], torque[:, 1] + way * own[:, 1], atol=1e-12)
+
+
+def build_errors(band: Band, size: float, *, rows: int = 4000) -> tuple[np.ndarray, ...]:
+    """Return speeds, loads and normal errors, of which `size` times the band contains 95 %."""
+    rng = np.random.default_rng(0)
+    dq = rng.uniform(-1.0, 1.0, rows)
+    tau_load = rng.uniform(-20.0, 20.0, rows)
+    parts = np.stack(shapes(dq, tau_load, band.slow_speed), axis=1)
+    sizes = np.array([band.floor, band.slow, band.rest, band.fast, band.load])
+    half_width = np.sqrt(parts @ sizes**2)
+    return dq, tau_load, size * half_width / 1.96 * rng.standard_normal(rows)
+
+
+@pytest.mark.parametrize("size", [0.8, 1.0, 1.5])
+def test_errors_on_left_out_rows_decide_the_width(banded: FrictionLaw, size: float) -> None:
+    """All parts of the band change alike, and the tail is that of these errors."""
+    band = banded.band
+    assert band is not None
+    found = recalibrate_band(band, *build_errors(band, size))
+    for name in ("floor", "slow", "rest", "fast", "load"):
+        expected = size * getattr(band, name)
+        assert getattr(found, name) == pytest.approx(expected, rel=0.03), name
+    assert found.tail == pytest.approx(0.676, abs=0.05)  # of a normal distribution's quantiles
+    assert (found.slow_speed, found.envelope) == (band.slow_speed, band.envelope)
+
+
+def test_rests_few_rows_and_laws_that_diverge_leave_a_band_as_it_is(banded: FrictionLaw) -> None:
+    band = banded.band
+    assert band is not None
+    dq, tau_load, errors = build_errors(band, 2.0)
+    assert recalibrate_band(band, 0.9 * REST * np.sign(dq), tau_load, errors) == band
+    assert recalibrate_band(band, dq[:99], tau_load[:99], errors[:99]) == band
+    errors[7] = np.inf
+    assert recalibrate_band(band, dq, tau_load, errors) == band

@@ -7,11 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cosim.study.law_choice import add_left_out_errors
 from hesr_model.errors import FitError
 from hesr_model.fitting import left_out
 from hesr_model.fitting.days import Nuisance
-from hesr_model.fitting.fit import fit_joint
+from hesr_model.fitting.fit import fit_joint, fit_models
 from hesr_model.fitting.left_out import judge_laws
+from hesr_model.friction.band import REST
 from hesr_model.friction.records import predict_record
 from hesr_model.inference.choice import PLAIN
 from hesr_model.inference.folds import Fold, split_into_folds, thin
@@ -61,9 +63,39 @@ def test_errors_are_those_of_a_fit_without_the_fold(
             np.testing.assert_allclose(
                 errors.errors[PLAIN][0][judged, j], expected[judged], rtol=1e-9, atol=1e-12
             )
-            np.testing.assert_array_equal(errors.tau[0][judged, j], record.tau[judged])
+            for name in ("tau", "dq", "tau_load"):
+                np.testing.assert_array_equal(
+                    getattr(errors, name)[0][judged, j], getattr(record, name)[judged]
+                )
     for j in range(3):
         assert errors.rmse(PLAIN, j) < 0.3 < errors.rmse("constant", j)
+
+
+def test_bands_contain_the_errors_on_left_out_rows(
+    arm_model: Robot, make_motion: MakeMotion
+) -> None:
+    """A drift of the torque that three seconds of a fold do not show."""
+    motion = noisy(make_motion(friction=3.0, seconds=12.0))
+    motion = replace(motion, tau=motion.tau + 0.3 * np.sin(0.5 * motion.t)[:, None])
+    errors, _, _ = judge([motion], arm_model)
+    body = identify_motions([motion], arm_model)
+    records = motion_records(motion, arm_model, body)
+    model = fit_models([PLAIN], [[record] for record in records], robot="arm", seed=0, workers=1)[
+        PLAIN
+    ]
+    judged_model = add_left_out_errors(model, errors)
+    is_moving = np.abs(motion.dq) >= REST
+    left_out = -errors.joint_errors[PLAIN][0]  # measured less predicted
+    shares = {}
+    for name, banded_model in (("fit", model), ("left out", judged_model)):
+        lower, upper = banded_model.predict_band(records)
+        torque = banded_model.predict(records)
+        is_inside = (left_out >= lower - torque) & (left_out <= upper - torque)
+        shares[name] = [float(is_inside[is_moving[:, j], j].mean()) for j in range(3)]
+    assert min(shares["fit"]) < 0.9
+    # Loads of the band are those of the final body.
+    assert shares["left out"] == pytest.approx([0.95] * 3, abs=0.025)
+    assert judged_model.left_out_rmse == tuple(errors.rmse(PLAIN, j) for j in range(3))
 
 
 def test_a_fold_does_not_see_its_rows(arm_model: Robot, make_motion: MakeMotion) -> None:
