@@ -13,6 +13,7 @@ from hesr_model.fitting.calibration import recalibrate_band
 from hesr_model.fitting.estimator import estimator, select_laws
 from hesr_model.fitting.fit import fit_models
 from hesr_model.fitting.left_out import judge_laws
+from hesr_model.friction.band import find_rest_speed
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel, can_share_fmu, mix_models
 from hesr_model.inference.choice import CHOOSE, LawChoice, choose_laws
@@ -113,4 +114,6 @@ def _recalibrate_law(law: FrictionLaw, law_name: str, errors: LeftOutErrors, j: 
         np.concatenate([log_signal[mask, j] for log_signal, mask in zip(signal, rows, strict=True)])
         for signal in signals
     )
-    return replace(law, band=recalibrate_band(law.band, dq, tau_load, torque_error))
+    rest_speed = find_rest_speed(law.form.steady_speed)
+    band = recalibrate_band(law.band, dq, tau_load, torque_error, rest_speed=rest_speed)
+    return replace(law, band=band)

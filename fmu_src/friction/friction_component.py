@@ -126,7 +126,10 @@ def component(
     equations = (*form.component.equations, *extra_outputs)
     if band:
         shared = (*shared, *NUMBERS, COVERAGE)
-        equations = (*equations, *band_equations(form.memory, form.output, squares=coupled))
+        band_outputs = band_equations(
+            form.memory, form.output, steady_speed=form.steady_speed, squares=coupled
+        )
+        equations = (*equations, *band_outputs)
     component = replace(
         form.component, parameters=law.form.coefficients, shared=shared, equations=equations
     )

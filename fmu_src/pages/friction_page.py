@@ -23,6 +23,7 @@ from hesr_model.equations.program import STEEP, Jumps
 from hesr_model.errors import ArtifactError, HesrError
 from hesr_model.fitting.estimator import estimator
 from hesr_model.fitting.uncertainty import MAX_COEFFICIENTS
+from hesr_model.friction.band import find_rest_speed
 from hesr_model.friction.inputs import INPUT_UNITS, INPUTS, TAU_LOAD
 from hesr_model.friction.law import FrictionLaw, form_lines
 from hesr_model.friction.law import equations as equations_with_numbers
@@ -214,6 +215,7 @@ def _band_rows(model: FrictionModel, units: Mapping[str, str]) -> dict[str, list
     bands = [law.band for law in model.laws if law.band is not None]
     if len(bands) < len(model.laws) or not model.trained:
         return {}
+    rest_speeds = [find_rest_speed(law.form.steady_speed) for law in model.laws]
     speeds = [max(map(abs, trained_range.dq)) for trained_range in model.trained]
     loads = [max(map(abs, trained_range.tau_load)) for trained_range in model.trained]
     rows: dict[str, list[str]] = {}
@@ -223,8 +225,9 @@ def _band_rows(model: FrictionModel, units: Mapping[str, str]) -> dict[str, list
         ("the same under the largest trained load", 1.0, 1.0),
     ):
         widths = []
-        for band, speed, load in zip(bands, speeds, loads, strict=True):
-            widths.append(f"± {figure(band.half_width(share * speed, load_share * load), 2)}")
+        for band, rest_speed, speed, load in zip(bands, rest_speeds, speeds, loads, strict=True):
+            half_width = band.half_width(share * speed, load_share * load, rest_speed=rest_speed)
+            widths.append(f"± {figure(half_width, 2)}")
         rows[f"95 % band, {label} [{units['tau']}]"] = widths
     return rows
 

@@ -17,14 +17,14 @@ from dataclasses import replace
 import numpy as np
 
 from hesr_model.fitting.joint_rows import log_of_rows
-from hesr_model.friction.band import LEVEL, REST, Band, shapes
+from hesr_model.friction.band import LEVEL, REST, Band, find_rest_speed, shapes
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.records import predict_record
 from hesr_model.inference.covariance import blocks_of_time
 from hesr_model.rigid_body.residual import FrictionRecord, find_resting_speed
 from hesr_model.support.arrays import Array
 
-SLOW_SPEEDS = (0.01, 0.02, 0.04, 0.08, 0.16)  # [rad/s] candidates of v_slow
+SLOW_SPEEDS = (0.01, 0.02, 0.04, 0.08, 0.16)  # [rad/s] candidates of v_slow, of usual joints
 MIN_RESTS = 10  # minimum for the width at rest
 _MIN_REST_DURATION = 0.5  # [s] minimum duration of a rest
 _TAIL_LEVELS = (0.8, 0.9, 0.98)  # quantiles that determine the tail, in addition to 95 %
@@ -54,9 +54,11 @@ def calibrate_band(
     has_rests = rest_count >= MIN_RESTS
     share_rows = slice(None, None, -(-len(errors) // _MAX_SHARE_ROWS))
     squares = errors[share_rows] ** 2
-    best = (np.inf, SLOW_SPEEDS[0], np.zeros(5))
-    for speed in SLOW_SPEEDS:
-        columns = np.stack(shapes(dq[share_rows], tau_load[share_rows], speed), axis=1)
+    rest_speed = find_rest_speed(law.form.steady_speed)
+    slow_speeds = [speed * (rest_speed / REST) for speed in SLOW_SPEEDS]
+    best = (np.inf, slow_speeds[0], np.zeros(5))
+    for speed in slow_speeds:
+        columns = np.stack(shapes(dq[share_rows], tau_load[share_rows], speed, rest_speed), axis=1)
         if not has_rests:
             columns[:, 2] = 0.0
         coefficient_shares = fit_variance_shares(
@@ -70,7 +72,7 @@ def calibrate_band(
         if loss < best[0]:
             best = (loss, speed, shares)
     _, speed, shares = best
-    variance = np.stack(shapes(dq, tau_load, speed), axis=1) @ shares
+    variance = np.stack(shapes(dq, tau_load, speed, rest_speed), axis=1) @ shares
     standardised = np.abs(errors) / np.sqrt(variance + _TINY_VARIANCE)
     level_quantile = float(np.quantile(standardised, LEVEL))
     floor, slow, rest_width, fast, load_share = map(float, level_quantile * np.sqrt(shares))
@@ -87,7 +89,9 @@ def calibrate_band(
     return replace(law, band=band), float(np.sqrt(np.mean(errors**2)))
 
 
-def recalibrate_band(band: Band, dq: Array, tau_load: Array, errors: Array) -> Band:
+def recalibrate_band(
+    band: Band, dq: Array, tau_load: Array, errors: Array, *, rest_speed: float = REST
+) -> Band:
     """Return the band, widened or narrowed to contain 95 % of errors on left-out rows in motion.
 
     Errors of fits know the rigid body's own rows; on others, the body is wrong as well, by more
@@ -98,12 +102,15 @@ def recalibrate_band(band: Band, dq: Array, tau_load: Array, errors: Array) -> B
     band : band of a joint, from the errors of its fit.
     dq, tau_load, errors : (N,) [rad/s], [N.m], [N.m] of rows that neither body nor law was
         fitted to.
+    rest_speed : v_rest of the law [rad/s, m/s].
     """
-    is_moving = np.abs(dq) >= REST  # the band at rest is another one
+    is_moving = np.abs(dq) >= rest_speed  # the band at rest is another one
     if np.count_nonzero(is_moving) < _MIN_LEFT_OUT_ROWS or not np.all(np.isfinite(errors)):
         return band
     sizes = np.array([getattr(band, name) for name in _SIZE_NAMES])
-    columns = np.stack(shapes(dq[is_moving], tau_load[is_moving], band.slow_speed), axis=1)
+    columns = np.stack(
+        shapes(dq[is_moving], tau_load[is_moving], band.slow_speed, rest_speed), axis=1
+    )
     half_widths = np.sqrt(columns @ sizes**2 + _TINY_VARIANCE)
     standardised = np.abs(errors[is_moving]) / half_widths
     factor = float(np.quantile(standardised, LEVEL))

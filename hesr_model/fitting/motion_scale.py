@@ -31,8 +31,14 @@ def fit_in_own_units(
 
     A form with lengths of its own, as stops of given deflections, is fitted in true units.
     """
-    scale = _choose_scale(law_estimator, joint_records)
+    scale = find_motion_scale(joint_records)
     if scale == 1.0:
+        return fit(joint_records)
+    if law_estimator.baseline:
+        # Any motion determines it, also without a reversal; only its band has speeds.
+        law = fit(joint_records)
+        return replace(law, form=replace(law.form, steady_speed=MOVING / scale))
+    if law_estimator.form(law_estimator.typical).stops:
         return fit(joint_records)
     require_reversals(joint_records)  # names the true speeds
     scaled_records = [scale_motion(record, scale) for record in joint_records]
@@ -44,13 +50,6 @@ def fit_in_own_units(
         if not np.max(change) <= _MAX_CHANGE * np.max(np.abs(torque)):
             return fit(joint_records)
     return law
-
-
-def _choose_scale(law_estimator: Estimator, joint_records: Sequence[FrictionRecord]) -> float:
-    """Return the scale of the motion for a law, 1 for those that it cannot help."""
-    if law_estimator.baseline or law_estimator.form(law_estimator.typical).stops:
-        return 1.0
-    return find_motion_scale(joint_records)
 
 
 def find_motion_scale(joint_records: Sequence[FrictionRecord]) -> float:

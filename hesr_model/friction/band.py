@@ -5,8 +5,8 @@
     r   = (1 - min((v/v_rest)^2, 1))^2, 1 at rest and 0 in motion
 
 In motion tau - w and tau + w bound friction. At rest the band spans the torques of the law creeping
-at `MOVING` both ways, and the floor, unless the calibration logs contain rests. The tail is
-Weibull's.
+at its speed of a steady start both ways, and the floor, unless the calibration logs contain rests.
+The tail is Weibull's. Slow joints have a lower v_rest (`find_rest_speed`).
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -28,7 +28,7 @@ from hesr_model.friction.inputs import DQ, MOVING, TAU_LOAD, TORQUE
 from hesr_model.support.arrays import Array
 
 LEVEL = 0.95  # probability of the stored half-widths
-REST = 0.005  # v_rest, the speed [rad/s, m/s] that ends the width of rest
+REST = 0.005  # v_rest, the speed [rad/s, m/s] that ends the width of rest, of usual joints
 MIN_COVERAGE = 0.5
 MAX_COVERAGE = 0.999  # limits of the probability
 LOWER = "tau_lower"
@@ -47,6 +47,11 @@ COVERAGE = Parameter(
     description="share of measured torques within the band, from 0.5 to 0.999",
     start=LEVEL,
 )
+
+
+def find_rest_speed(steady_speed: float) -> float:
+    """Return v_rest [rad/s, m/s] of a law whose motions start steadily from `steady_speed` on."""
+    return REST * (steady_speed / MOVING)
 
 
 def _define_number(name: str, unit: str, description: str, *, logical: bool = False) -> Quantity:
@@ -100,10 +105,10 @@ class Band:
                     key=f"band.{field.name}",
                 )
 
-    def half_width(self, dq: float, tau_load: float = 0.0) -> float:
+    def half_width(self, dq: float, tau_load: float = 0.0, *, rest_speed: float = REST) -> float:
         """Return the half-width [N.m] at 95 % in motion at a speed [rad/s] under a load [N.m]."""
         sizes = (self.floor, self.slow, self.rest, self.fast, self.load)
-        parts = shapes(dq, tau_load, self.slow_speed)
+        parts = shapes(dq, tau_load, self.slow_speed, rest_speed)
         return sqrt(sum(size**2 * part for size, part in zip(sizes, parts, strict=True)))
 
     @property
@@ -151,17 +156,23 @@ def _shape_function() -> Callable[..., Sequence[Array]]:
     return numpy_function([DQ, TAU_LOAD, SLOW_SPEED, REST_SPEED], steps, _SQUARES)
 
 
-def shapes(dq: ArrayLike, tau_load: ArrayLike, slow_speed: float) -> tuple[Array, ...]:
+def shapes(
+    dq: ArrayLike, tau_load: ArrayLike, slow_speed: float, rest_speed: float = REST
+) -> tuple[Array, ...]:
     """Return the factors of floor^2, slow^2, rest^2, fast^2 and load^2 in s^2."""
-    parts = _shape_function()(dq, tau_load, slow_speed, REST)
+    parts = _shape_function()(dq, tau_load, slow_speed, rest_speed)
     return tuple(np.broadcast_to(part, np.shape(dq)) for part in parts)
 
 
 def band_equations(
-    memory: Sequence[Element], output: sympy.Expr, *, squares: bool = False
+    memory: Sequence[Element],
+    output: sympy.Expr,
+    *,
+    steady_speed: float = MOVING,
+    squares: bool = False,
 ) -> tuple[Equation, ...]:
     """Return a band's outputs, or the `squares` of their distances, after intermediate values."""
-    values: Definitions = {REST_SPEED: sympy.Float(REST)}
+    values: Definitions = {REST_SPEED: sympy.Float(find_rest_speed(steady_speed))}
     for symbol, expression in variance_steps().items():  # each uses earlier ones only
         values[symbol] = expression.xreplace(values)
     middle = (MAX_COVERAGE + MIN_COVERAGE) / 2
@@ -195,8 +206,8 @@ def band_equations(
     return (
         factor,
         half_width,
-        *_creep_equations(memory, output, "ahead", MOVING),
-        *_creep_equations(memory, output, "behind", -MOVING),
+        *_creep_equations(memory, output, "ahead", steady_speed),
+        *_creep_equations(memory, output, "behind", -steady_speed),
         side(LOWER, -1, "lower"),
         side(UPPER, 1, "upper"),
     )

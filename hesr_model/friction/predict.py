@@ -48,7 +48,7 @@ def _reading_kernel(form: LawForm) -> Kernel:
 def _band_kernel(form: LawForm) -> Kernel:
     names = {
         equation.symbol: equation.expression
-        for equation in band_equations(form.memory, form.output)
+        for equation in band_equations(form.memory, form.output, steady_speed=form.steady_speed)
     }
     numbers = (*_symbols(form), *(quantity.symbol for quantity in (*NUMBERS, COVERAGE)))
     ends = [sympy.Symbol(name, real=True) for name in (LOWER, UPPER)]

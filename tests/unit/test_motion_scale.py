@@ -161,6 +161,17 @@ def test_the_speed_of_a_steady_start_is_positive() -> None:
         assert (refusal.value.code, refusal.value.key) == ("law.steady_speed", "steady_speed")
 
 
+@pytest.mark.parametrize("law_name", ["coulomb_viscous", "lugre"])
+def test_the_band_of_a_small_stroke_is_that_of_a_usual_one(law_name: str) -> None:
+    """Its rest, its slow motion and its break-away are those of its own speeds."""
+    record = build_record()
+    small_record = scale_motion(record, 1.0 / SCALE)
+    ends = [fit(law_name, [one]).predict_band([one]) for one in (record, small_record)]
+    np.testing.assert_allclose(ends[1], ends[0], atol=1e-6)
+    is_inside = (record.tau >= ends[1][0][:, 0]) & (record.tau <= ends[1][1][:, 0])
+    assert 0.93 <= np.mean(is_inside) <= 0.98
+
+
 @pytest.mark.parametrize(
     ("unit", "power"), [("N.m.s2/rad2", -2), ("1/rad", -1), ("rad/s", 1), ("N.m", 0), ("1", 0)]
 )
