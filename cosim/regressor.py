@@ -17,7 +17,7 @@ from cosim.workflow.arguments import (
     read_logs,
 )
 from hesr_model.errors import FitError, TableError
-from hesr_model.fitting.estimator import estimator
+from hesr_model.fitting.estimator import Estimator, estimator, to_law_name
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.law import equations
 from hesr_model.friction.model import FrictionModel
@@ -47,8 +47,8 @@ class FrictionRegressor:
 
     Parameters
     ----------
-    law : name of a law, see `hesr.laws`; or "choose", the proposed law of each joint that predicts
-        left-out rows of logs best.
+    law : name of a law, see `hesr.laws`, or its class; or "choose", the proposed law of each
+        joint that predicts left-out rows of logs best.
     robot : robot of the logs; by default that of the log.
     rigid_body : rigid body of the robot, or its file; by default identified from the logs of `fit`.
     target : predicted quantity and meaning of y: "friction", or "torque" including load torque.
@@ -64,7 +64,7 @@ class FrictionRegressor:
 
     def __init__(
         self,
-        law: str = "lugre",
+        law: str | type[Estimator] = "lugre",
         *,
         robot: RobotLike | None = None,
         rigid_body: RigidBody | str | PathLike[str] | None = None,
@@ -123,7 +123,7 @@ class FrictionRegressor:
             If the data do not determine the law.
         """
         if self.law != CHOOSE:
-            estimator(self.law)
+            estimator(to_law_name(self.law))
         if self.target not in _TARGETS:
             raise TableError(
                 f"the target of a friction regressor is '{self.target}'; allowed are "

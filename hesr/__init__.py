@@ -13,11 +13,13 @@ Objects   Robot, Log, RigidBody, FrictionModel, FrictionRegressor, Fmu, System, 
           HesrError, the base of all errors
 Commands  new, inspect, excite, identify, fit, test, export, check, simulate, run, report, monitor;
           laws, the laws that `fit` knows; observe, the external torque over logs
+Own laws  OneForm, LawForm, Coefficient, SearchSpace, Relaxation, Stop, register, Estimator,
+          FrictionLaw; DQ, Q, TAU_LOAD, the inputs; sgn, absolute, sign and magnitude
 
 A path is text or a path object. A parameter of several items takes one item, or any iterable. Logs,
 bodies, laws, FMUs and results show themselves as tables in a notebook; logs and signals have
 `to_pandas()`, logs also `to_xarray()`. The stub `__init__.pyi` is the list of names; each is
-imported when it is first used.
+imported when it is first used. `__version__` is the version.
 """
 
 from hesr_model.support.lazy import lazy

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from fmu_src.plant.plant_fmu import PlantBody
     from hesr_model.audit.properties import Subject
     from hesr_model.findings import Finding
+    from hesr_model.fitting.estimator import Estimator
     from hesr_model.friction.model import FrictionModel
     from hesr_model.logs.long_log import LongLog
     from hesr_model.logs.robot_log import Log
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     LogArg = Log | PathArg
     BodyArg = RigidBody | PathArg
     LawArg = FrictionModel | PathArg
+    FittedLawArg = LawArg | type[Estimator]
     # One or several items.
     Logs = LogArg | Iterable[LogArg]
     Laws = LawArg | Iterable[LawArg]

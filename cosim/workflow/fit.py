@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from cosim.workflow.arguments import (
         BodyArg,
         CheckedLogs,
+        FittedLawArg,
         LawArg,
         Laws,
         LawSource,
@@ -63,7 +64,7 @@ def laws() -> Mapping[str, type[Estimator]]:
 def fit(
     logs: Logs,
     *,
-    law: LawArg | None = None,
+    law: FittedLawArg | None = None,
     robot: RobotArg | None = None,
     rigid_body: BodyArg | None = None,
     seed: int = 0,
@@ -81,9 +82,9 @@ def fit(
     logs : log or sequence of logs
         CSV, Parquet or MATLAB files, or ROS bags; in Python also `Log` objects. Of long logs at
         most 10^6 rows are used, in whole stretches that cover speed, load and rest.
-    law : str, path or law
-        Name of a law (--list shows them), or choose: the proposed law of each joint that predicts
-        left-out rows best; with --add also a fitted law (.json).
+    law : str, path, law or class
+        Name of a law (--list shows them), in Python also its class; or choose: the proposed law of
+        each joint that predicts left-out rows best; with --add also a fitted law (.json).
     robot : robot or path, optional
         Robot file (.toml), URDF or MJCF; by default the robot of the logs.
     rigid_body : body or path, optional
@@ -133,6 +134,7 @@ def fit(
     from cosim.study.scores import transpose_records
     from hesr_model.findings import log_findings
     from hesr_model.fitting.days import adapt
+    from hesr_model.fitting.estimator import to_law_name
     from hesr_model.fitting.fit import fit_models
     from hesr_model.health.examine import check_laws, check_owner
     from hesr_model.inference.choice import CHOOSE
@@ -146,12 +148,13 @@ def fit(
     for name in additions:
         if name not in refinements:
             raise ArgumentError(f"'add' is '{name}'; there are {', '.join(refinements)}.")
-    fitted_model = _read_fitted_law(law, additions, options, priors)
+    known_law = to_law_name(law) if isinstance(law, type) else law
+    fitted_model = _read_fitted_law(known_law, additions, options, priors)
     checked = read_checked_logs(sources, robot, accepted, progress, in_pieces=True)
     body = checked.find_body(rigid_body)
     records = checked.compute_records(body, seed)
     joint_records = transpose_records(records)
-    if fitted_model is None and law == CHOOSE:
+    if fitted_model is None and known_law == CHOOSE:
         model, _ = fit_chosen_laws(
             checked.collect_motions(seed),
             checked.robot,
@@ -163,7 +166,7 @@ def fit(
         )
         model = _add_health(model, check_laws({model.law: model}, joint_records))
     elif fitted_model is None:
-        law_name = str(law)
+        law_name = str(known_law)
         models = fit_models(
             [law_name],
             joint_records,

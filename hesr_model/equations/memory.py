@@ -2,11 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from numbers import Real
 from typing import Literal, Self, TypeAlias
 
 import sympy
 
 from hesr_model.equations.functions import absolute, clip, decay, larger, over, positive, sgn, share
+from hesr_model.errors import ArtifactError
 
 DT = sympy.Symbol("dt", real=True)  # length of the current step [s]
 Discretisation: TypeAlias = Literal["exact", "euler"]  # exact for held inputs; Euler: eq. 10
@@ -17,17 +19,35 @@ RELEASE_TIME = sympy.Float(
 )  # T [s], time constant of a continuous stop with a shrinking bound
 
 
+def to_expression(owner: str, attribute: str, value: object) -> sympy.Expr:
+    """Return an expression or a number as an expression; raise ArtifactError for other shapes."""
+    if isinstance(value, sympy.Expr):
+        return value
+    if isinstance(value, Real):
+        return sympy.S.Zero + value
+    raise ArtifactError(
+        f"{owner}: '{attribute}' is {type(value).__name__}; expected one expression, that of one "
+        "joint.",
+        code="law.class.shape",
+        key=attribute,
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
-class _Element:
+class MemoryElement:
+    """State of one joint; a number in place of an expression is taken as one."""
+
     name: str
     unit: str
 
     def __post_init__(self) -> None:
         for f in fields(self):  # accept Python numbers
             if f.name not in ("name", "unit"):
-                object.__setattr__(self, f.name, sympy.S.Zero + getattr(self, f.name))
+                value = to_expression(f"memory '{self.name}'", f.name, getattr(self, f.name))
+                object.__setattr__(self, f.name, value)
 
     def subs(self, replacements: Mapping[sympy.Symbol, sympy.Expr]) -> Self:
+        """Return the element with expressions in place of symbols."""
         attributes = {f.name: getattr(self, f.name) for f in fields(self)}
         return replace(
             self,
@@ -45,6 +65,7 @@ class _Element:
 
     @property
     def state(self) -> sympy.Symbol:
+        """Symbol of x."""
         return sympy.Symbol(self.name, real=True)
 
     @property
@@ -54,7 +75,7 @@ class _Element:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Relaxation(_Element):
+class Relaxation(MemoryElement):
     """x' = drive - rate x, where both may use earlier states."""
 
     drive: sympy.Expr
@@ -77,7 +98,7 @@ class Relaxation(_Element):
 
     @property
     def seeks(self) -> bool:
-        """See `_Element.seeks`."""
+        """See `MemoryElement.seeks`."""
         return self.state in self.rate.free_symbols
 
     def steady_state(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
@@ -109,7 +130,7 @@ class Slow(Relaxation):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stop(_Element):
+class Stop(MemoryElement):
     """x+ = clip(x + v dt / w, -s, s), the stop operator of Prandtl and Ishlinskii."""
 
     velocity: sympy.Expr  # v

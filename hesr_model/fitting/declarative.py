@@ -11,6 +11,7 @@ from hesr_model.equations.functions import clip
 from hesr_model.errors import ArtifactError
 from hesr_model.fitting.estimator import Estimator
 from hesr_model.fitting.joint_rows import JointRows
+from hesr_model.fitting.law_check import require_usable_space
 from hesr_model.fitting.separable import SearchSpace, Separable
 from hesr_model.friction.inputs import TAU_LOAD
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
@@ -114,6 +115,12 @@ class OneForm(DeclarativeEstimator):
     @abstractmethod
     def space(self) -> SearchSpace:
         """Return the search space of the core."""
+
+    @classmethod
+    def require_usable(cls) -> None:
+        """Raise ConfigError or ArtifactError, with the attribute, if the class is not a law yet."""
+        super().require_usable()
+        require_usable_space(cls.name, cls.core({}), cls().space())
 
     def build_fitted_space(self, law: FrictionLaw) -> SearchSpace:
         """Return the search space of a fitted law, with its ripple."""

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.friction.law import FrictionLaw, LawForm, form_lines
 from hesr_model.rigid_body.residual import FrictionRecord
-from hesr_model.support import plugins
+from hesr_model.support import parallel, plugins
 
 
 class Estimator(ABC):
@@ -65,25 +65,108 @@ class Estimator(ABC):
         """Return the equations of the law, or of a typical one of its family."""
         return "; ".join(form_lines(cls.form(cls.typical)))
 
+    @classmethod
+    def require_usable(cls) -> None:
+        """Raise ConfigError or ArtifactError, with the attribute, if the class is not a law yet."""
+        for attribute in ("name", "title"):
+            value = getattr(cls, attribute, None)
+            if not isinstance(value, str) or not value:
+                raise ConfigError(
+                    f"law {cls.__name__}: '{attribute}' is missing; give it as text.",
+                    code=f"law.class.{attribute}",
+                    key=attribute,
+                )
+        missing = sorted(cls.__abstractmethods__)
+        if missing:
+            raise ConfigError(
+                f"law '{cls.name}': '{missing[0]}' is missing; define this method.",
+                code="law.class.method",
+                key=missing[0],
+            )
+        form: object = cls.form(cls.typical)
+        if not isinstance(form, LawForm):
+            raise ConfigError(
+                f"law '{cls.name}': 'form' returns {type(form).__name__}; expected LawForm.",
+                code="law.class.form",
+                key="form",
+            )
+
     @abstractmethod
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Return the law of the records; raises FitError if they do not determine it."""
 
 
 _REGISTRY: dict[str, type[Estimator]] = {}
+_NOTEBOOK = "__main__"  # module of classes in a notebook or script
 Registered = TypeVar("Registered", bound=type[Estimator])
 
 
+_OWN_PACKAGES = ("hesr_model", "hesr")  # whose laws the tests check
+
+
 def register(estimator: Registered) -> Registered:
-    """Register an estimator by name; raises ConfigError if another module has this name."""
-    other = _REGISTRY.get(estimator.name, estimator).__module__
-    if other != estimator.__module__:
+    """Register an estimator by name, instead of an earlier definition in the same module.
+
+    Raises ConfigError if another module has this name, or the class is not a usable law.
+    """
+    module = estimator.__module__
+    if module.partition(".")[0] not in _OWN_PACKAGES:
+        estimator.require_usable()
+    other = _find_module(estimator.name, module)
+    # A law moves from a notebook to a module; a notebook does not replace the law of a module.
+    if other not in (None, module, _NOTEBOOK):
         raise ConfigError(
-            f"law '{estimator.name}' is defined in the modules '{other}' and "
-            f"'{estimator.__module__}'; rename one."
+            f"law '{estimator.name}' is defined in the modules '{other}' and '{module}'; rename "
+            "one."
         )
     _REGISTRY[estimator.name] = estimator
     return estimator
+
+
+def _find_module(law_name: str, module: str) -> str | None:
+    """Return the module that has a law of this name already, None if there is none."""
+    if law_name in _REGISTRY:
+        return _REGISTRY[law_name].__module__
+    # Installed laws are imported on use. That of a module may just be on its way.
+    plugin = plugins.load(GROUP).get(law_name)
+    return plugin.entry.value if plugin and module == _NOTEBOOK else None
+
+
+def to_law_name(law: str | type[Estimator]) -> str:
+    """Return the name of a law given by name or class; a class is registered.
+
+    Raises ConfigError if the class is not a usable law, or another module has its name.
+    """
+    if not isinstance(law, type):
+        return law
+    if not issubclass(law, Estimator):
+        raise ConfigError(
+            f"class {law.__name__} is not a law; derive it from OneForm or Estimator.",
+            code="law.class.base",
+            key="law",
+        )
+    if _REGISTRY.get(getattr(law, "name", "")) is not law:
+        register(law)
+    return law.name
+
+
+def is_of_session(law_name: str) -> bool:
+    """Whether a law was registered in this process and is not installed, as from a notebook."""
+    return law_name in _REGISTRY and law_name not in plugins.load(GROUP)
+
+
+def _carry_laws() -> "partial[None] | None":
+    """Return the job that registers the laws of this session in a worker."""
+    laws = [law for law_name, law in _REGISTRY.items() if is_of_session(law_name)]
+    return partial(_register_carried, laws) if laws else None
+
+
+def _register_carried(laws: Sequence[type[Estimator]]) -> None:
+    for law in laws:
+        _REGISTRY[law.name] = law
+
+
+parallel.carry(_carry_laws)
 
 
 GROUP = "hesr.laws"  # entry points with a law's name and the module that registers it

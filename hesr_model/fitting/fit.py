@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from hesr_model.errors import ArtifactError, FitError, LogError, SimulationError
+from hesr_model.errors import ArtifactError, ConfigError, FitError, LogError, SimulationError
 from hesr_model.fitting.calibration import calibrate_band
 from hesr_model.fitting.days import Nuisance, estimate_nuisances, remove_nuisances
 from hesr_model.fitting.declarative import OneForm
-from hesr_model.fitting.estimator import estimator
+from hesr_model.fitting.estimator import Estimator, estimator, is_of_session, to_law_name
 from hesr_model.fitting.motion_scale import fit_in_own_units
 from hesr_model.fitting.uncertainty import add_standard_errors, pool_errors
 from hesr_model.friction.law import FrictionLaw
@@ -91,6 +91,7 @@ def fit_joint(
 
     def fit_law(records: Sequence[FrictionRecord]) -> FrictionLaw:
         law = law_estimator.fit(records, np.random.default_rng(seed))
+        _require_law(law_name, law)
         space = (
             law_estimator.build_fitted_space(law) if isinstance(law_estimator, OneForm) else None
         )
@@ -100,6 +101,16 @@ def fit_joint(
         law = fit_in_own_units(law_estimator, joint_records, fit_law)
         _require_finite_errors(law)
         return law
+
+
+def _require_law(law_name: str, law: object) -> None:
+    """Raise ConfigError if the method `fit` of a law's class returns something else."""
+    if not isinstance(law, FrictionLaw):
+        raise ConfigError(
+            f"law '{law_name}': 'fit' returns {type(law).__name__}; expected FrictionLaw.",
+            code="law.class.fit",
+            key="fit",
+        )
 
 
 @contextmanager
@@ -135,32 +146,36 @@ def _require_finite_errors(law: FrictionLaw) -> None:
 
 
 def fit(
-    law: str,
+    law: str | type[Estimator],
     *logs: Sequence[FrictionRecord],
     seed: int = 0,
     options: Mapping[str, Any] | None = None,
     robot: str = "robot",
     workers: int = 1,
 ) -> FrictionModel:
-    """Fit one law to every joint; each of `logs` has one record per joint, of the same joints."""
+    """Fit one law to every joint; each of `logs` has one record per joint, of the same joints.
+
+    A `law` is given by name or class.
+    """
+    law_name = to_law_name(law)
     if not logs:
-        raise FitError(f"law '{law}': no log given; pass the records of at least one.")
+        raise FitError(f"law '{law_name}': no log given; pass the records of at least one.")
     joints = [tuple(record.joint for record in log_records) for log_records in logs]
     for other_joints in joints[1:]:
         if other_joints != joints[0]:
             raise FitError(
-                f"law '{law}': logs have different joints, {', '.join(joints[0])} and "
+                f"law '{law_name}': logs have different joints, {', '.join(joints[0])} and "
                 f"{', '.join(other_joints)}."
             )
     return fit_models(
-        [law],
+        [law_name],
         [list(joint_records) for joint_records in zip(*logs, strict=True)],
         robot=robot,
         seed=seed,
-        options={law: dict(options or {})},
+        options={law_name: dict(options or {})},
         provenance=source_of(files=[], seed=seed),
         workers=workers,
-    )[law]
+    )[law_name]
 
 
 def fit_models(
@@ -367,11 +382,10 @@ def load_or_fit(
     """Return the fitted law of a joint, from its checkpoint if it has one, or why it has none."""
     key = compute_key(law_name, joint_records, seed, options)
     file_name = f"{law_name}.{joint_records[0].joint}.{key}.json"
-    path = (
-        checkpoints / "".join(c if c.isalnum() or c in "._-" else "_" for c in file_name)
-        if checkpoints
-        else None
-    )
+    path = None
+    # The key does not contain the expressions of a law, which a session can define anew.
+    if checkpoints and not is_of_session(law_name):
+        path = checkpoints / "".join(c if c.isalnum() or c in "._-" else "_" for c in file_name)
     report = make_file_progress(progress)
     law = None
     if path and path.is_file():

@@ -18,7 +18,15 @@ import sympy
 from hesr_model.equations.component import Component, Equation, Quantity
 from hesr_model.equations.functions import absolute, clip
 from hesr_model.equations.low_pass import build_low_pass
-from hesr_model.equations.memory import DT, Discretisation, Element, Relaxation, Stop
+from hesr_model.equations.memory import (
+    DT,
+    Discretisation,
+    Element,
+    MemoryElement,
+    Relaxation,
+    Stop,
+    to_expression,
+)
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.band import Band
 from hesr_model.friction.inputs import DQ, MOVING, QUANTITIES, TORQUE
@@ -37,7 +45,27 @@ SETTLING = build_settling(MOVING)  # of joints of usual speed
 _MAX_COEFFICIENT = 1e100  # largest allowed coefficient; a product of three stays finite
 
 
-Coefficient = Quantity  # constant of a law
+@dataclass(frozen=True, kw_only=True)
+class Coefficient(Quantity):
+    """Constant of a law; ArtifactError without a name or unit."""
+
+    unit: str = ""
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.name.isidentifier():
+            raise ArtifactError(
+                f"coefficient '{self.name}': 'name' must be letters, digits and underscores.",
+                code="law.class.name",
+                key="name",
+            )
+        if not self.unit:
+            raise ArtifactError(
+                f"coefficient '{self.name}' has no 'unit'; give it in SI, such as 'N.m' or "
+                "'rad/s', or '1' for a pure number.",
+                code="law.class.unit",
+                key=f"{self.name}.unit",
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +89,8 @@ class LawForm:
                 code="law.steady_speed",
                 key="steady_speed",
             )
+        self._require_kinds()
+        self._require_known_symbols()
         try:
             self.component  # noqa: B018 - raises what is wrong
         except ArtifactError as error:
@@ -68,6 +98,40 @@ class LawForm:
             raise ArtifactError(
                 f"friction law: {reason}", code=error.code, key=error.key
             ) from error
+
+    def _require_kinds(self) -> None:
+        """Raise ArtifactError for attributes of other kinds or shapes."""
+        coefficients = _require_items("coefficients", self.coefficients, Quantity, "Coefficient")
+        memory = _require_items("memory", self.memory, MemoryElement, "Relaxation or Stop")
+        object.__setattr__(self, "coefficients", coefficients)
+        object.__setattr__(self, "memory", memory)
+        object.__setattr__(self, "output", to_expression("friction law", "output", self.output))
+
+    def _require_known_symbols(self) -> None:
+        """Raise ArtifactError for a symbol that only looks like one of the law."""
+        known_symbols = {quantity.symbol for quantity in (*QUANTITIES, *self.coefficients)} | {DT}
+        for element in self.memory:
+            known_symbols |= {element.state, element.derivative}
+        known_names = {str(symbol) for symbol in known_symbols}
+        parts: dict[str, tuple[sympy.Expr, ...]] = {"output": (self.output,)}
+        parts |= {f"memory.{element.name}": element.parts for element in self.memory}
+        for attribute, expressions in parts.items():
+            symbols = sympy.Tuple(*expressions).free_symbols
+            for symbol in sorted(symbols - known_symbols, key=str):
+                if str(symbol) in known_names:
+                    remedy = (
+                        "is another symbol than that of its quantity; use the 'symbol' of a "
+                        "coefficient, the 'state' of a memory, or DQ, Q and TAU_LOAD"
+                    )
+                else:
+                    remedy = (
+                        "is neither an input, a coefficient nor a state; add it to 'coefficients'"
+                    )
+                raise ArtifactError(
+                    f"friction law: symbol '{symbol}' of '{attribute}' {remedy}.",
+                    code="law.class.symbol",
+                    key=attribute,
+                )
 
     @cached_property
     def component(self) -> Component:
@@ -123,6 +187,22 @@ class LawForm:
                 for element in self.memory
             ),
         )
+
+
+def _require_items(attribute: str, items: object, kind: type, expected: str) -> tuple[Any, ...]:
+    """Return the items of an attribute as a tuple; ArtifactError if one is of another kind."""
+    if isinstance(items, tuple | list):
+        wrong_items = [item for item in items if not isinstance(item, kind)]
+        if not wrong_items:
+            return tuple(items)
+        wrong_kind = type(wrong_items[0]).__name__
+    else:
+        wrong_kind = type(items).__name__
+    raise ArtifactError(
+        f"friction law: '{attribute}' is or contains {wrong_kind}; expected a tuple of {expected}.",
+        code="law.class.kind",
+        key=attribute,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -74,9 +74,26 @@ def work(folder: Path, parent: int) -> None:
             os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
 
 
+Preparation = Callable[[], None]
+_carriers: list[Callable[[], Preparation | None]] = []
+
+
+def carry(carrier: Callable[[], Preparation | None]) -> None:
+    """Let workers repeat what this process has registered.
+
+    The `carrier` is called for each batch; what it returns, a worker calls before the batch.
+    Classes of a notebook travel in it by value.
+    """
+    _carriers.append(carrier)
+
+
 @lru_cache(maxsize=1)
 def _load_batch(file: Path) -> Sequence[Callable[[], Any]]:
-    jobs: Sequence[Callable[[], Any]] = cloudpickle.loads(file.read_bytes())
+    preparations: Sequence[Preparation]
+    jobs: Sequence[Callable[[], Any]]
+    preparations, jobs = cloudpickle.loads(file.read_bytes())
+    for prepare in preparations:
+        prepare()
     return jobs
 
 
@@ -223,7 +240,9 @@ class _Pool:
                 self._folder = self._cleanup.enter_context(scratch_folder())
             while len(self._children) < self._count:
                 self._start()
-        (self._folder / f"{JOBS}{self._batches}").write_bytes(cloudpickle.dumps(list(jobs)))
+        preparations = [carrier() for carrier in _carriers]
+        batch = [prepare for prepare in preparations if prepare is not None], list(jobs)
+        (self._folder / f"{JOBS}{self._batches}").write_bytes(cloudpickle.dumps(batch))
         futures = [Future[JobAnswer]() for _ in jobs]
         for k in sorted(range(len(jobs)), key=lambda k: -costs[k] if costs else k):
             self._tasks.put((self._batches, k, futures[k], _display(names, k)))
