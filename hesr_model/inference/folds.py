@@ -54,12 +54,8 @@ def split_into_folds(motions: Sequence[Motion], count: int = FOLD_COUNT) -> list
     motions : smoothed logs, or their parts between gaps.
     count : number of folds.
     """
-    names = list(dict.fromkeys(motion.name for motion in motions))
-    if len(names) >= count:
-        fold_of_log = {name: index % count for index, name in enumerate(names)}
-        fold_of_rows = [np.full(len(motion.t), fold_of_log[motion.name]) for motion in motions]
-    else:
-        fold_of_rows = _number_blocks(motions, count)
+    names = [motion.name for motion in motions]
+    fold_of_rows = _number_rows(names, [motion.t for motion in motions], count)
     folds = []
     for number in range(count):
         judged = tuple(fold_numbers == number for fold_numbers in fold_of_rows)
@@ -69,14 +65,49 @@ def split_into_folds(motions: Sequence[Motion], count: int = FOLD_COUNT) -> list
     return folds
 
 
-def _number_blocks(motions: Sequence[Motion], count: int) -> list[Array]:
-    """Return the number of the block of each row, by motion."""
-    durations = [float(motion.t[-1] - motion.t[0]) for motion in motions]
+def mask_rows(
+    names: Sequence[str], times: Sequence[Array], number: int, count: int = FOLD_COUNT
+) -> tuple[list[Mask], list[Mask]]:
+    """Return masks of the rows that a fold judges, and of those it may fit, by log.
+
+    They are those of `split_into_folds`, but for its pieces that are too short.
+
+    Parameters
+    ----------
+    names : of each log; parts of a log have one name.
+    times : (N,) [s] of each log.
+    number, count : of the fold, from 0, and of all folds.
+    """
+    judged = [fold_numbers == number for fold_numbers in _number_rows(names, times, count)]
+    trained = []
+    for t, is_judged in zip(times, judged, strict=True):
+        judged_times = t[is_judged]
+        if len(judged_times):
+            is_before = t < judged_times[0] - _GUARD
+            is_after = t > judged_times[-1] + _GUARD
+            trained.append(is_before | is_after)
+        else:
+            trained.append(np.ones(len(t), dtype=bool))
+    return judged, trained
+
+
+def _number_rows(names: Sequence[str], times: Sequence[Array], count: int) -> list[Array]:
+    """Return the number of the fold of each row, by log."""
+    distinct_names = list(dict.fromkeys(names))
+    if len(distinct_names) < count:
+        return _number_blocks(times, count)
+    fold_of_log = {name: index % count for index, name in enumerate(distinct_names)}
+    return [np.full(len(t), fold_of_log[name]) for name, t in zip(names, times, strict=True)]
+
+
+def _number_blocks(times: Sequence[Array], count: int) -> list[Array]:
+    """Return the number of the block of each row, by log."""
+    durations = [float(t[-1] - t[0]) for t in times]
     block_length = sum(durations) / count
     starts = np.cumsum([0.0, *durations[:-1]])
     return [
-        np.minimum((start + motion.t - motion.t[0]) // block_length, count - 1)
-        for motion, start in zip(motions, starts, strict=True)
+        np.minimum((start + t - t[0]) // block_length, count - 1)
+        for start, t in zip(starts, times, strict=True)
     ]
 
 
