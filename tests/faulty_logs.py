@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hesr_model.health.evidence import Estimate, SmoothPart, TorqueFit
+from hesr_model.health.evidence import SmoothPart, TorqueFit
+from hesr_model.health.referee import Estimate
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import RobotDescription
 

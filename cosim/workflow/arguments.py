@@ -311,9 +311,10 @@ def read_checked_logs(
         if long_log.gaps:
             from hesr_model.health.examine import add_log_name
             from hesr_model.health.positions import report_gaps
+            from hesr_model.health.referee import state
 
-            finding = report_gaps(long_log.gaps, long_log.longest_step, len(long_log.starts))
-            findings += log_findings(add_log_name(long_log.checked_pieces[0], [finding]))
+            gaps = report_gaps(long_log.gaps, long_log.longest_step, len(long_log.starts))
+            findings += log_findings(state(add_log_name(long_log.checked_pieces[0], [gaps])))
     log_paths = [log.path for log in logs if log.path]
     files = dict.fromkeys([*paths_among(robot), checked_robot.description.model, *log_paths])
     return CheckedLogs(

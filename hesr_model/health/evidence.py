@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from hesr_model.errors import LogError
+from hesr_model.health.referee import Estimate
 from hesr_model.inference.covariance import standard_errors
 from hesr_model.logs.rest import (
     MIN_TRAVEL,
@@ -21,7 +22,12 @@ from hesr_model.robots.transmission import Coupling
 from hesr_model.support.arrays import Array, Mask, select_rows
 
 _MAX_ROWS = 4000  # per log
-_KNEE_SPEED = 0.1  # smoothing speed of a sign [rad/s, m/s], at most a quarter of the peak
+_MIN_INNER_ROWS = 20
+# Of white noise behind the low pass, over its cut-off: root mean square angular frequency, and
+# bandwidth. They follow from integrals of 1 / (1 + x^4)^2.
+_NOISE_FREQUENCY = 0.577 * 2.0 * np.pi
+_NOISE_BANDWIDTH = 0.833
+_KNEE_SHARE = 0.1  # speed over which a sign is smoothed, as a share of the peak speed
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -29,7 +35,8 @@ class SmoothPart:
     """Smoothed part of a log, (N, n); `v`, `a` are derivatives of q, `dq` was logged.
 
     Joints rest up to `resting_travel` [rad, m] and `resting_speeds` [rad/s, m/s], of each or of all
-    joints; `find_rests` derives them from all logs.
+    joints; `find_rests` derives them from all logs. Within `settling` [s] of its ends the low pass
+    continues the motion by a guess; 0 if nothing was smoothed.
     """
 
     log: Log
@@ -41,6 +48,7 @@ class SmoothPart:
     tau: Array
     resting_travel: tuple[float, ...] | float = MIN_TRAVEL
     resting_speeds: tuple[float, ...] | float = MOVING
+    settling: float = 0.0
 
     @cached_property
     def is_moving(self) -> Mask:
@@ -59,9 +67,57 @@ class SmoothPart:
         """Median time between rows [s]."""
         return float(np.median(np.diff(self.t)))
 
+    @cached_property
+    def is_measured(self) -> Mask:
+        """Rows (N,) that smoothing did not have to guess at an end."""
+        is_inner = (self.t >= self.t[0] + self.settling) & (self.t <= self.t[-1] - self.settling)
+        return is_inner if np.count_nonzero(is_inner) > _MIN_INNER_ROWS else np.ones_like(is_inner)
+
+    def estimate_speed_noise(self) -> tuple[Array, Array]:
+        """Return what white noise adds to `v` and to `dq` (n,), as standard deviations."""
+        position_noise = estimate_white_noise(self.log.q)
+        if self.settling == 0.0:
+            return np.zeros_like(position_noise), np.zeros_like(position_noise)
+        cutoff = 1.0 / self.settling
+        passed = _compute_passed_share(cutoff, self.log.period)
+        v_noise = _NOISE_FREQUENCY * cutoff * passed * position_noise
+        if self.log.dq is None:
+            return v_noise, np.zeros_like(v_noise)
+        return v_noise, passed * estimate_white_noise(self.log.dq)
+
     def thin(self, max_rows: int) -> "SmoothPart":
         """Return at most `max_rows` rows, evenly spread."""
         return select_rows(self, slice(None, None, -(-len(self.t) // max_rows)))
+
+
+def estimate_white_noise(values: Array) -> Array:
+    """Return the standard deviation (n,) of white noise in signals (N, n), by third differences.
+
+    They hardly contain a motion that is slow against the sampling; of white noise they have 20
+    times the variance.
+    """
+    differences = np.diff(values, 3, axis=0)
+    return np.asarray(np.sqrt(np.sum(differences**2, axis=0) / (20.0 * max(len(differences), 1))))
+
+
+def compute_speed_noise(log: Log, j: int, noise: float, cutoff: float) -> tuple[float, float]:
+    """Return the noise of a position [rad, m], and of a velocity derived from `noise` of it.
+
+    Parameters
+    ----------
+    log : with raw positions.
+    j : index of the joint.
+    noise : standard deviation [rad, m] of white noise.
+    cutoff : of the low pass [Hz].
+    """
+    measured_noise = float(estimate_white_noise(log.q[:, [j]])[0])
+    speed_noise = _NOISE_FREQUENCY * cutoff * _compute_passed_share(cutoff, log.period) * noise
+    return measured_noise, float(speed_noise)
+
+
+def _compute_passed_share(cutoff: float, period: float) -> float:
+    """Return the share of white noise that a low pass [Hz] lets through, as amplitude."""
+    return float(np.sqrt(min(2.0 * _NOISE_BANDWIDTH * cutoff * period, 1.0)))
 
 
 def find_rests(parts: Sequence[SmoothPart]) -> list[SmoothPart]:
@@ -99,6 +155,7 @@ def smooth_parts(log: Log, cutoff: float) -> list[SmoothPart]:
             a=derived.ddq,
             dq=dq,
             tau=log_part.tau,
+            settling=1.0 / cutoff,
         )
         parts.append(part.thin(_MAX_ROWS))
     return parts
@@ -139,20 +196,7 @@ def to_logged_side(
 def friction_shape(v: Array) -> Array:
     """Return Coulomb and viscous friction over `v`, equally weighted."""
     peak = float(np.max(np.abs(v))) or 1.0
-    return np.asarray(np.tanh(v / min(_KNEE_SPEED, 0.25 * peak)) + v / peak)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Estimate:
-    """A coefficient and its standard error, corrected for autocorrelation."""
-
-    value: float
-    error: float
-
-    @property
-    def t(self) -> float:
-        """The coefficient in standard errors."""
-        return self.value / max(self.error, 1e-300)
+    return np.asarray(np.tanh(v / (_KNEE_SHARE * peak)) + v / peak)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,6 +21,7 @@ from hesr_model.health.evidence import (
     to_logged_side,
 )
 from hesr_model.health.mistakes import check_causes
+from hesr_model.health.referee import Hypothesis, judge, state
 from hesr_model.health.timing import check_clocks
 from hesr_model.health.torque import NO_SIGNAL_R2, TorqueFits, check_torque, fit_joint_torques
 from hesr_model.health.velocity import check_velocity
@@ -51,22 +52,24 @@ class Examination:
     parts: tuple[SmoothPart, ...] = ()
     torques: tuple[ModelTorques, ...] = ()
     fits: tuple[TorqueFits, ...] = ()
+    undecided: tuple[Finding, ...] = ()
 
 
 def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | None) -> Examination:
     """Check logs one by one, against the model, and together; raises LogError."""
-    findings: list[Finding] = []
+    hypotheses: list[Hypothesis] = []
     parts: list[SmoothPart] = []
     for log in logs:
-        time_findings = add_log_name(log, positions.check_time(log, description))
-        findings += time_findings
-        if any(finding.severity == "error" for finding in time_findings):
+        time_hypotheses = add_log_name(log, positions.check_time(log, description))
+        hypotheses += time_hypotheses
+        if any(hypothesis.severity == "error" for hypothesis in time_hypotheses):
             continue
         for check in (positions.check_jumps, positions.check_steps, efforts.check_raw_signals):
-            findings += add_log_name(log, check(log, description))
+            hypotheses += add_log_name(log, check(log, description))
         parts += smooth_parts(log, description.log.filter_cutoff)
     parts = find_rests(parts)
-    if robot and (description.known is not None or robot.springs):
+    is_stated = description.known is None
+    if robot and (not is_stated or robot.springs):
         robot = _inform_robot(robot, parts)
     torques = (
         [ModelTorques.from_motion(robot, part.q, part.v, part.a) for part in parts] if robot else []
@@ -75,48 +78,64 @@ def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | N
         to_logged_side(*pair, description.logged) for pair in zip(parts, torques, strict=False)
     ]
     fits_by_part = [fit_joint_torques(part, part_torques) for part, part_torques in logged_sides]
-    broken_joints = {
-        joint
-        for finding in findings
-        if finding.check in ("wrap", "spikes")
-        for joint in finding.joints
-    }
-    coarse_joints = {
-        joint for finding in findings if finding.check == "coarse" for joint in finding.joints
-    }
+    broken_joints = _collect_joints(hypotheses, ("wrap", "spikes"))
+    coarse_joints = _collect_joints(hypotheses, ("coarse",))
     for part in parts:
-        findings += add_log_name(part.log, check_velocity(part, description, broken_joints))
+        hypotheses += add_log_name(part.log, check_velocity(part, description, broken_joints))
         if robot:
-            findings += add_log_name(part.log, positions.check_limits(part, robot))
-            findings += add_log_name(part.log, positions.check_sliding(part, robot))
-            findings += add_log_name(part.log, efforts.check_speed(part, robot))
-        findings += add_log_name(part.log, positions.check_columns(part, description))
+            hypotheses += add_log_name(part.log, positions.check_limits(part, robot))
+            hypotheses += add_log_name(part.log, positions.check_sliding(part, robot))
+            hypotheses += add_log_name(part.log, efforts.check_speed(part, robot))
+        hypotheses += add_log_name(part.log, positions.check_columns(part, description))
+    judgement = judge(hypotheses)
+    findings = list(judgement.findings)
+    undecided = list(judgement.undecided)
     if robot and not is_hopeless(findings):
         for part, (logged_part, part_torques), joint_fits in zip(
             parts, logged_sides, fits_by_part, strict=True
         ):
-            clock_findings, late_joints = check_clocks(
+            clock_hypotheses, late_joints = check_clocks(
                 part, [j for j in joint_fits if joint_fits[j].r2 > NO_SIGNAL_R2], robot
             )
             blurred_joints = {
                 *late_joints,
                 *(j for j in joint_fits if description.joints[j] in coarse_joints),
             }
-            torque_findings = (
-                *clock_findings,
-                *check_torque(logged_part, joint_fits, robot, blurred_joints),
+            part_judgement = judge(
+                add_log_name(
+                    part.log,
+                    (
+                        *clock_hypotheses,
+                        *check_torque(
+                            logged_part,
+                            joint_fits,
+                            robot,
+                            blurred_joints,
+                            part_torques,
+                            is_stated=is_stated,
+                        ),
+                        *positions.check_loss(logged_part, part_torques, robot),
+                    ),
+                )
             )
-            findings += add_log_name(
-                part.log,
-                (*torque_findings, *positions.check_loss(logged_part, part_torques, robot)),
-            )
-        findings = _replace_symptoms(findings, check_causes(parts, robot))
+            findings += part_judgement.findings
+            undecided += part_judgement.undecided
+        cause_judgement = judge(check_causes(parts, robot))
+        findings = _replace_symptoms(findings, cause_judgement.findings)
+        undecided += cause_judgement.undecided
     return Examination(
         findings=tuple(merge_findings(_remove_followers(findings))),
         parts=tuple(parts),
         torques=tuple(torques),
         fits=tuple(fits_by_part),
+        undecided=tuple(merge_findings(undecided)),
     )
+
+
+def _collect_joints(hypotheses: Sequence[Hypothesis], checks: Sequence[str]) -> set[str]:
+    """Return the joints that the referee finds faulty in one of some checks."""
+    findings = state(hypothesis for hypothesis in hypotheses if hypothesis.check in checks)
+    return {joint for finding in findings for joint in finding.joints}
 
 
 def _inform_robot(robot: Robot, parts: Sequence[SmoothPart]) -> Robot | None:
@@ -245,9 +264,9 @@ def _format_refusal(findings: Sequence[Finding]) -> str:
     return "\n  ".join([f"{len(lines)} errors in the data.", *lines, advice])
 
 
-def add_log_name(log: Log, findings: Iterable[Finding]) -> list[Finding]:
-    """Return findings with the name of their log."""
-    return [replace(finding, logs=(log.name,)) for finding in findings]
+def add_log_name(log: Log, hypotheses: Iterable[Hypothesis]) -> list[Hypothesis]:
+    """Return hypotheses with the name of their log."""
+    return [replace(hypothesis, logs=(log.name,)) for hypothesis in hypotheses]
 
 
 def merge_findings(findings: Iterable[Finding]) -> list[Finding]:

@@ -1,7 +1,8 @@
 """Mistakes in a robot file that explain the torques better than the file as it is.
 
-Each is a hypothesis with corrected rows. Weights of the model file's rigid body and friction are
-non-negative, so wrong signs and swapped columns fit badly.
+Each is a supposition with corrected rows. Weights of the model file's rigid body and friction are
+non-negative, so wrong signs and swapped columns fit badly. The best one races against the file as
+it is, on left-out rows, and must not move a joint beyond its limits.
 """
 
 import json
@@ -11,10 +12,10 @@ from itertools import combinations
 
 import numpy as np
 
-from hesr_model.findings import Finding, build_joint_finding
 from hesr_model.fitting.joint_rows import ROUND_OFF, non_negative_least_squares
 from hesr_model.health.evidence import ModelTorques, SmoothPart, friction_shape
-from hesr_model.health.positions import MAX_EXCESS
+from hesr_model.health.positions import MAX_EXCESS_SHARE
+from hesr_model.health.referee import CURE_GAIN, Hypothesis, LeftOutRows, Race
 from hesr_model.health.torque import find_sign_change
 from hesr_model.logs.log_format import OPTIONAL, column_names
 from hesr_model.robots.robot import Robot
@@ -30,7 +31,7 @@ _MIN_TILT = np.radians(20.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class HypothesisRows:
+class SupposedRows:
     """Rows of several logs (N, n), motors over gear ratios, and gravity (3,)."""
 
     q: Array
@@ -41,17 +42,17 @@ class HypothesisRows:
 
 
 @dataclass(frozen=True, eq=False)
-class Hypothesis:
+class Mistake:
     """A mistake that the file may have, changes that mend it, and corrected rows."""
 
     check: str
     joint: int
     remedy: str
     changes: dict[str, object]
-    corrected: HypothesisRows
+    corrected: SupposedRows
 
 
-def compute_torques(rows: HypothesisRows, robot: Robot) -> ModelTorques:
+def compute_torques(rows: SupposedRows, robot: Robot) -> ModelTorques:
     """Evaluate the model under the rows' gravity."""
     torques = ModelTorques.from_motion(robot, rows.q, rows.v, rows.a)
     declared_gravity = robot.gravity
@@ -76,9 +77,7 @@ def _compute_axis_torques(q: Array, robot: Robot) -> Array:
     return np.array(axis_torques)
 
 
-def generate_hypotheses(
-    rows: HypothesisRows, robot: Robot, is_moving: Mask
-) -> Iterator[Hypothesis]:
+def generate_mistakes(rows: SupposedRows, robot: Robot, is_moving: Mask) -> Iterator[Mistake]:
     """Yield possible mistakes, the simplest first."""
     description = robot.description
     joints = [int(j) for j in np.flatnonzero(is_moving)]
@@ -86,24 +85,24 @@ def generate_hypotheses(
         key, changes = find_sign_change(description, None, position=False)
         remedy = f"all torques count backwards; set {key}"
         corrected = replace(rows, tau=-rows.tau)
-        yield Hypothesis("torque-sign", -1, remedy, changes, corrected)
+        yield Mistake("torque-sign", -1, remedy, changes, corrected)
     for j in joints:
         key, changes = find_sign_change(description, j, position=False)
         position_key, position_changes = find_sign_change(description, j, position=True)
         signs = np.where(np.arange(robot.n) == j, -1.0, 1.0)
         q, v, a, tau = (signal * signs for signal in (rows.q, rows.v, rows.a, rows.tau))
         remedy = f"{_BACKWARDS}; set {key}"
-        yield Hypothesis("torque-sign", j, remedy, changes, replace(rows, tau=tau))
+        yield Mistake("torque-sign", j, remedy, changes, replace(rows, tau=tau))
         remedy = f"its position and velocity count backwards; set {position_key}"
-        yield Hypothesis("position-sign", j, remedy, position_changes, replace(rows, q=q, v=v, a=a))
+        yield Mistake("position-sign", j, remedy, position_changes, replace(rows, q=q, v=v, a=a))
         remedy = f"its position, velocity and torque count backwards; set {position_key}, and {key}"
         corrected = replace(rows, q=q, v=v, a=a, tau=tau)
-        yield Hypothesis("position-sign", j, remedy, position_changes | changes, corrected)
+        yield Mistake("position-sign", j, remedy, position_changes | changes, corrected)
     for generate in (_swap_torques, _swap_joints, _estimate_gravity, _move_zeros):
         yield from generate(rows, robot, joints)
 
 
-def _swap_torques(rows: HypothesisRows, robot: Robot, joints: list[int]) -> Iterator[Hypothesis]:
+def _swap_torques(rows: SupposedRows, robot: Robot, joints: list[int]) -> Iterator[Mistake]:
     description = robot.description
     column_key = "tau" if description.log.torque_per_ampere is None else "current"
     columns = column_names(getattr(description.log.columns, column_key), description.joints)
@@ -116,12 +115,12 @@ def _swap_torques(rows: HypothesisRows, robot: Robot, joints: list[int]) -> Iter
             f"[log.columns] {column_key} = {json.dumps(swapped_columns)}"
         )
         corrected = replace(rows, tau=rows.tau[:, order] / gains[order] * gains)
-        yield Hypothesis(
+        yield Mistake(
             "torque-columns", a, remedy, {f"log.columns.{column_key}": swapped_columns}, corrected
         )
 
 
-def _swap_joints(rows: HypothesisRows, robot: Robot, joints: list[int]) -> Iterator[Hypothesis]:
+def _swap_joints(rows: SupposedRows, robot: Robot, joints: list[int]) -> Iterator[Mistake]:
     description = robot.description
     orders = {(a, b): _swap_order(robot.n, a, b) for a, b in combinations(joints, 2)}
     if len(joints) == robot.n > 2:
@@ -145,10 +144,10 @@ def _swap_joints(rows: HypothesisRows, robot: Robot, joints: list[int]) -> Itera
             "others accordingly"
         )
         swapped_signals = {k: getattr(rows, k)[:, order] for k in ("q", "v", "a", "tau")}
-        yield Hypothesis("joint-order", a, remedy, dict(changes), replace(rows, **swapped_signals))
+        yield Mistake("joint-order", a, remedy, dict(changes), replace(rows, **swapped_signals))
 
 
-def _move_zeros(rows: HypothesisRows, robot: Robot, joints: list[int]) -> Iterator[Hypothesis]:
+def _move_zeros(rows: SupposedRows, robot: Robot, joints: list[int]) -> Iterator[Mistake]:
     description = robot.description
     for j in joints:
         if robot.slides[j]:
@@ -162,12 +161,10 @@ def _move_zeros(rows: HypothesisRows, robot: Robot, joints: list[int]) -> Iterat
                 f"its zero is {90 * quarter} degrees from the model's; set [log] zero = "
                 f"[{', '.join(f'{z:.6g}' for z in zero)}]"
             )
-            yield Hypothesis("zero", j, remedy, {"log.zero": tuple(zero)}, replace(rows, q=q))
+            yield Mistake("zero", j, remedy, {"log.zero": tuple(zero)}, replace(rows, q=q))
 
 
-def _estimate_gravity(
-    rows: HypothesisRows, robot: Robot, joints: list[int]
-) -> Iterator[Hypothesis]:
+def _estimate_gravity(rows: SupposedRows, robot: Robot, joints: list[int]) -> Iterator[Mistake]:
     torques_by_axis = _compute_axis_torques(rows.q, robot)
     inertial = compute_torques(rows, robot).inertial
     v = rows.v
@@ -218,7 +215,7 @@ def _estimate_gravity(
     gravity_text = ", ".join(f"{g:g}" for g in gravity)
     remedy = f"gravity is declared {mismatch}; set gravity = [{gravity_text}]"
     corrected = replace(rows, gravity=np.array(gravity))
-    yield Hypothesis("gravity", -1, remedy, {"gravity": gravity}, corrected)
+    yield Mistake("gravity", -1, remedy, {"gravity": gravity}, corrected)
 
 
 def _swap_order(n: int, a: int, b: int) -> list[int]:
@@ -235,115 +232,185 @@ _MIN_GAIN_OVER_SIMPLER = 1.05  # minimum gain over a simpler mistake
 _MAX_MISTAKES = 8  # mistakes searched one after another
 
 
-def pool_rows(parts: Sequence[SmoothPart], gravity: Sequence[float]) -> HypothesisRows:
+def pool_rows(parts: Sequence[SmoothPart], gravity: Sequence[float]) -> SupposedRows:
     """Take equally many rows from each log."""
-    thinned_parts = [part.thin(max(_MAX_ROWS // len(parts), 60)) for part in parts]
+    thinned_parts = _thin_parts(parts)
     signals = {
         k: np.concatenate([getattr(thinned_part, k) for thinned_part in thinned_parts])
         for k in ("q", "v", "a", "tau")
     }
-    return HypothesisRows(**signals, gravity=np.array(gravity, dtype=float))
+    return SupposedRows(**signals, gravity=np.array(gravity, dtype=float))
 
 
-def check_causes(parts: Sequence[SmoothPart], robot: Robot) -> list[Finding]:
-    """Find the mistakes that explain all logs best, the best first."""
+def _thin_parts(parts: Sequence[SmoothPart]) -> list[SmoothPart]:
+    return [part.thin(max(_MAX_ROWS // len(parts), 60)) for part in parts]
+
+
+def check_causes(parts: Sequence[SmoothPart], robot: Robot) -> list[Hypothesis]:
+    """Suppose the mistakes that explain all logs best, the best first."""
     if not parts:
         return []
     is_moving = np.any([part.is_moving for part in parts], axis=0)
     is_moving &= np.any([np.ptp(part.tau, axis=0) > 0.0 for part in parts], axis=0)
     rows = pool_rows(parts, robot.gravity.tolist())
+    thinned_parts = _thin_parts(parts)
+    left_out = LeftOutRows.split(
+        [part.log.name for part in thinned_parts], [part.t for part in thinned_parts]
+    )
     logged_coupling = robot.description.logged
     rows = replace(rows, tau=logged_coupling.torque(rows.tau)) if logged_coupling else rows
     log_names = tuple(dict.fromkeys(part.log.name for part in parts))
-    findings: list[Finding] = []
+    hypotheses: list[Hypothesis] = []
     share_before = _compute_unexplained_share(rows, robot, is_moving)
     for _ in range(_MAX_MISTAKES):
-        hypothesis, share_after = _find_best_hypothesis(rows, share_before, robot, is_moving)
-        if hypothesis is None:
+        mistake, share_after = _find_best_mistake(rows, share_before, robot, is_moving)
+        if mistake is None:
             break
-        j = int(np.argmax(share_before / share_after))
-        observation = (
-            f"model and friction leave {100 * share_before[j]:.0f} % of the torque of joint "
-            f"'{robot.joints[j]}' unexplained; with the correction {100 * share_after[j]:.0f} %"
-        )
-        joint = robot.joints[hypothesis.joint] if hypothesis.joint >= 0 else ""
-        changes = hypothesis.changes
-        findings.append(
-            build_joint_finding(
-                hypothesis.check,
-                joint,
-                observation,
-                hypothesis.remedy,
-                logs=log_names,
-                changes=changes,
-            )
-        )
-        rows = hypothesis.corrected
+        hypothesis = _suppose(mistake, rows, robot, left_out, share_before, share_after)
+        hypotheses.append(replace(hypothesis, logs=log_names))
+        if hypothesis.outcome != "won":
+            break
+        rows = mistake.corrected
         share_before = share_after
-    return findings
+    return hypotheses
 
 
-def _find_best_hypothesis(
-    rows: HypothesisRows, share_before: Array, robot: Robot, is_moving: Mask
-) -> tuple[Hypothesis | None, Array]:
-    best_hypothesis = None
+def _suppose(
+    mistake: Mistake,
+    rows: SupposedRows,
+    robot: Robot,
+    left_out: LeftOutRows,
+    share_before: Array,
+    share_after: Array,
+) -> Hypothesis:
+    """Return the hypothesis of a mistake, which races on the joint that it explains best."""
+    best_joint = int(np.argmax(share_before / share_after))
+    rival_squares, squares = (
+        _predict_squares(each, robot, left_out, best_joint) for each in (rows, mistake.corrected)
+    )
+    return Hypothesis(
+        check=mistake.check,
+        joint=robot.joints[mistake.joint] if mistake.joint >= 0 else "",
+        observation=f"model and friction leave {100 * share_before[best_joint]:.0f} % of the "
+        f"torque of joint '{robot.joints[best_joint]}' unexplained; with the correction "
+        f"{100 * share_after[best_joint]:.0f} %",
+        remedy=mistake.remedy,
+        trials=(
+            Race(
+                rival="the file as it is",
+                rival_squares=rival_squares,
+                squares=squares,
+                min_gain=CURE_GAIN,
+            ),
+        ),
+        contradictions=_find_contradictions(mistake, robot),
+        record="motion of this joint through the whole of its range",
+        changes=mistake.changes,
+    )
+
+
+def _predict_squares(rows: SupposedRows, robot: Robot, left_out: LeftOutRows, j: int) -> Array:
+    """Return squared errors (N,) of a joint's torque on left-out rows, over its variance."""
+    torques, v = _transform(rows, robot)
+    tau = rows.tau[:, j]
+    columns = _build_columns(tau, torques, v, j)
+    errors = left_out.predict(columns, tau, non_negative=3)
+    # A correction may change the torque itself.
+    return np.asarray(errors**2 / max(float(np.var(tau)), 1e-300))
+
+
+def _find_contradictions(mistake: Mistake, robot: Robot) -> tuple[str, ...]:
+    """Return what stays impossible with a correction of positions, in words."""
+    if not {"log.zero", "log.units.q"} & set(mistake.changes):
+        return ()
+    excess = _compute_limit_excess(mistake.corrected.q[:, [mistake.joint]], robot, mistake.joint)
+    if excess <= MAX_EXCESS_SHARE:
+        return ()
+    return (
+        f"joint '{robot.joints[mistake.joint]}' would still lie beyond its limits; the log may be "
+        "of another robot",
+    )
+
+
+def _find_best_mistake(
+    rows: SupposedRows, share_before: Array, robot: Robot, is_moving: Mask
+) -> tuple[Mistake | None, Array]:
+    best_mistake = None
     best_share = share_before
     best_gain = 0.0
-    for hypothesis in generate_hypotheses(rows, robot, is_moving):
-        share_after = _compute_unexplained_share(hypothesis.corrected, robot, is_moving)
-        if (
-            _compute_limit_excess(hypothesis.corrected.q, robot)
-            > _compute_limit_excess(rows.q, robot) + MAX_EXCESS
-        ):
+    largest_excess = _compute_limit_excess(rows.q, robot)
+    for mistake in generate_mistakes(rows, robot, is_moving):
+        if _compute_limit_excess(mistake.corrected.q, robot) > largest_excess + MAX_EXCESS_SHARE:
             continue
+        share_after = _compute_unexplained_share(mistake.corrected, robot, is_moving)
         gain = np.log(share_before / share_after)
         is_explained = (gain > np.log(_MIN_GAIN)) & (1.0 - share_after**2 > _MIN_R2)
         if not np.any(is_explained) or np.min(gain) < -np.log(_MAX_LOSS):
             continue
         if float(gain.sum()) > best_gain * _MIN_GAIN_OVER_SIMPLER:
-            best_hypothesis = hypothesis
+            best_mistake = mistake
             best_share = share_after
             best_gain = float(gain.sum())
         elif (
-            best_hypothesis
-            and best_hypothesis.joint == hypothesis.joint
+            best_mistake
+            and best_mistake.joint == mistake.joint
             and float(gain.sum()) * _MIN_GAIN_OVER_SIMPLER > best_gain
         ):
             alternative = (
                 f"{_BACKWARDS}, or its position and velocity do (the logs cannot show which);"
             )
-            remedy = best_hypothesis.remedy.replace(f"{_BACKWARDS};", alternative)
-            best_hypothesis = replace(best_hypothesis, remedy=remedy)
-    return best_hypothesis, best_share
+            remedy = best_mistake.remedy.replace(f"{_BACKWARDS};", alternative)
+            best_mistake = replace(best_mistake, remedy=remedy)
+    return best_mistake, best_share
 
 
-def _compute_limit_excess(q: Array, robot: Robot) -> float:
-    """Return the largest excess over the model's limits [rad or m]."""
+def _compute_limit_excess(q: Array, robot: Robot, j: int | None = None) -> float:
+    """Return the largest excess over the model's limits, as a share of their width.
+
+    Parameters
+    ----------
+    q : positions (N, n) of all joints, or (N, 1) of one.
+    robot : with the limits.
+    j : index of the joint of a single column.
+    """
     lower, upper, _ = robot.limits
-    return float(np.max(np.maximum(lower - q, q - upper), initial=0.0))
+    if j is not None:
+        lower, upper = lower[[j]], upper[[j]]
+    excess = np.max(np.maximum(lower - q, q - upper), axis=0, initial=0.0)
+    width = upper - lower
+    shares = np.where(np.isfinite(width), excess / np.maximum(width, 1e-300), 0.0)
+    return float(np.max(shares, initial=0.0))
 
 
-def _compute_unexplained_share(rows: HypothesisRows, robot: Robot, is_moving: Mask) -> Array:
+def _compute_unexplained_share(rows: SupposedRows, robot: Robot, is_moving: Mask) -> Array:
     """Return the unexplained share (n,) of the torques' deviation."""
-    torques = compute_torques(rows, robot)
-    logged_coupling = robot.description.logged
-    torques, v = (
-        torques.transform(logged_coupling) if logged_coupling else torques,
-        transform_motion(logged_coupling, rows.v),
-    )
+    torques, v = _transform(rows, robot)
     shares = np.ones(rows.q.shape[1])
     for j in np.flatnonzero(is_moving):
-        deviation = float(np.std(rows.tau[:, j]))
-        shares[j] = _compute_residual_rms(rows.tau[:, j], torques, v, int(j)) / max(
-            deviation, 1e-12
-        )
+        tau = rows.tau[:, j]
+        residual_rms = _compute_residual_rms(tau, torques, v, int(j))
+        shares[j] = residual_rms / max(float(np.std(tau)), 1e-12)
     return shares
 
 
-def _compute_residual_rms(tau: Array, torques: ModelTorques, v: Array, j: int) -> float:
+def _transform(rows: SupposedRows, robot: Robot) -> tuple[ModelTorques, Array]:
+    """Return the model's torques and the velocities (N, n) at the side that the log measures."""
+    torques = compute_torques(rows, robot)
+    logged_coupling = robot.description.logged
+    if logged_coupling is not None:
+        torques = torques.transform(logged_coupling)
+    return torques, transform_motion(logged_coupling, rows.v)
+
+
+def _build_columns(tau: Array, torques: ModelTorques, v: Array, j: int) -> Array:
+    """Return gravity, inertial torque and friction of a joint, and an offset (N, 4)."""
     model_columns = np.column_stack([torques.gravity[:, j], torques.inertial[:, j]])
     # A torque of round-off must not be scaled up to explain noise.
     model_columns[:, np.abs(model_columns).max(axis=0) <= ROUND_OFF * np.abs(tau).max()] = 0.0
-    columns = np.column_stack([model_columns, friction_shape(v[:, j]), np.ones(len(tau))])
+    return np.column_stack([model_columns, friction_shape(v[:, j]), np.ones(len(tau))])
+
+
+def _compute_residual_rms(tau: Array, torques: ModelTorques, v: Array, j: int) -> float:
+    columns = _build_columns(tau, torques, v, j)
     _, squares = non_negative_least_squares(columns, tau, non_negative=3)
     return float(np.sqrt(max(squares, 0.0) / len(tau))) + 1e-9

@@ -4,135 +4,209 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hesr_model.findings import Finding, build_joint_finding
-from hesr_model.health.evidence import ModelTorques, SmoothPart
+from hesr_model.findings import Severity
+from hesr_model.health.evidence import ModelTorques, SmoothPart, compute_speed_noise
+from hesr_model.health.referee import Estimate, Hypothesis, Statistic
 from hesr_model.logs.guess import is_of_motor
 from hesr_model.logs.log_format import column_names
+from hesr_model.logs.rest import find_travelling
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.arrays import Array, Integers
-from hesr_model.units import COMMON_UNITS
+from hesr_model.units import COMMON_UNITS, unit_of_joint
 
 _PLAUSIBLE_PERIODS = 5e-5, 0.9  # plausible sample periods [s]; 1 s may be 1 ms
 _TURN = 2.0 * np.pi
-_MIN_SPIKE_TO_USUAL = 40.0  # relative distance of a spike
-_MIN_SPIKE = 0.02  # [rad or m]
-MAX_EXCESS = 0.05  # allowed excess over a limit [rad or m]
-_COARSE_STEP = 8e-4
-_MIN_STEPS = 20  # reported step [rad or m], steps needed
-_MAX_SLIDING_TRAVEL = 100.0
-_MAX_SLIDING_SPEED = 20.0  # [m], [m/s] of a sliding joint in other units
+_MIN_SPIKE_TO_USUAL = 40.0  # distance of a spike over the usual change from step to step
+_MIN_SPIKE_SHARE = 0.01  # of the range of the other rows
+MAX_EXCESS_SHARE = 0.02  # allowed excess over a limit, as a share of the width of the limits
+_MIN_STEPS = 20  # of different size or place that tell a resolution
+_MIN_COARSE_NOISE = 0.1  # noise over the step of a rounded position, which is 0.29 in theory
+_MAX_SPEED_NOISE = 0.01  # noise of a velocity that rounding leaves, over the peak of the velocity
+_MAX_SLIDING_TRAVEL = 100.0  # [m] of a joint in other units
 _MAX_SATURATED_SHARE = 0.01  # share of rows at a limit of the drive
 _FINE_LEVELS = 200  # distinct values of a finely quantised torque
 _MIN_SATURATED_RUN = 5
 
 
-def check_time(log: Log, description: RobotDescription) -> Iterator[Finding]:
-    """Check the time stamps of a log."""
+def is_plausible_period(period: float) -> bool:
+    """Return whether drives and loggers write rows `period` [s] apart."""
+    shortest, longest = _PLAUSIBLE_PERIODS
+    return shortest <= period <= longest
+
+
+def check_time(log: Log, description: RobotDescription) -> Iterator[Hypothesis]:
+    """Doubt the time stamps of a log."""
     period = log.period
     steps = np.diff(log.t)
-    shortest, longest = _PLAUSIBLE_PERIODS
-    if not shortest <= period <= longest:
-        declared_factor = float(description.log.units.factors("t", 1)[0])
-        plausible_units = [
-            unit
-            for unit, factor in COMMON_UNITS["t"].items()
-            if shortest <= period / declared_factor * factor <= longest
-        ]
-        # Of several possible units, prefer the one with a rate closest to 200 Hz.
-        plausible_units.sort(
-            key=lambda unit: abs(np.log(period / declared_factor * COMMON_UNITS["t"][unit] * 200.0))
-        )
-        observation = f"its rows are {period:.3g} s apart"
-        unit_remedy = "the unit of time is wrong; see [log.units] t"
-        if plausible_units:
-            unit_remedy = (
-                f"time is in {plausible_units[0]}; set [log.units] t = '{plausible_units[0]}'"
-            )
-        changes = {"log.units.t": plausible_units[0]} if plausible_units else {}
-        yield build_joint_finding("time-unit", "", observation, unit_remedy, changes=changes)
+    if not is_plausible_period(period):
+        yield _doubt_unit_of_time(period, description)
         return
     if len(log.gaps):
         yield report_gaps(len(log.gaps), float(np.max(steps)), len(log.parts()))
     if loses_rows(log):
         share = compute_share_of_long_steps(log)
-        observation = (
-            f"{100 * share:.0f} % of its steps are longer than 1.8 periods of {period:.4g} s"
+        yield Hypothesis(
+            check="missing-rows",
+            joint="",
+            observation=f"{100 * share:.0f} % of its steps are longer than 1.8 periods of "
+            f"{period:.4g} s",
+            remedy="rows are missing, which blurs reversals",
+            severity="warning",
         )
-        remedy = "rows are missing, which blurs reversals"
-        yield build_joint_finding("missing-rows", "", observation, remedy, "warning")
     if log.dropped:
-        observation = f"{log.dropped} rows lack a number or repeat the time stamp of the row before"
-        remedy = "they were left out ([log] missing = 'drop')"
-        yield build_joint_finding("dropped-rows", "", observation, remedy, "warning")
+        yield Hypothesis(
+            check="dropped-rows",
+            joint="",
+            observation=f"{log.dropped} rows lack a number or repeat the time stamp of the row "
+            "before",
+            remedy="they were left out ([log] missing = 'drop')",
+            severity="warning",
+        )
 
 
-def report_gaps(count: int, longest: float, parts: int) -> Finding:
-    """Return the finding of gaps up to `longest` [s] between usable parts."""
-    observation = f"{count} gap{'s' * (count > 1)}, the longest of {longest:.3g} s"
+def _doubt_unit_of_time(period: float, description: RobotDescription) -> Hypothesis:
+    declared_factor = float(description.log.units.factors("t", 1)[0])
+    plausible_units = [
+        unit
+        for unit, factor in COMMON_UNITS["t"].items()
+        if is_plausible_period(period / declared_factor * factor)
+    ]
+    # Of several possible units, prefer the one with a rate closest to 200 Hz.
+    plausible_units.sort(
+        key=lambda unit: abs(np.log(period / declared_factor * COMMON_UNITS["t"][unit] * 200.0))
+    )
+    remedy = "the unit of time is wrong; see [log.units] t"
+    if plausible_units:
+        remedy = f"time is in {plausible_units[0]}; set [log.units] t = '{plausible_units[0]}'"
+    return Hypothesis(
+        check="time-unit",
+        joint="",
+        observation=f"its rows are {period:.3g} s apart",
+        remedy=remedy,
+        changes={"log.units.t": plausible_units[0]} if plausible_units else {},
+    )
+
+
+def report_gaps(count: int, longest: float, parts: int) -> Hypothesis:
+    """Return the observation of gaps up to `longest` [s] between usable parts."""
     remedy = "rows are missing; " + (
         f"its {parts} parts are filtered and fitted separately"
         if parts > 1
         else "only one of its parts is long enough to use"
     )
-    return build_joint_finding("gaps", "", observation, remedy, "warning")
+    return Hypothesis(
+        check="gaps",
+        joint="",
+        observation=f"{count} gap{'s' * (count > 1)}, the longest of {longest:.3g} s",
+        remedy=remedy,
+        severity="warning",
+    )
 
 
-def check_jumps(log: Log, description: RobotDescription) -> Iterator[Finding]:
-    """Check raw positions for lost turns and single outliers."""
+def check_jumps(log: Log, description: RobotDescription) -> Iterator[Hypothesis]:
+    """Doubt raw positions with lost turns and single outliers."""
     is_near = np.diff(log.t) <= 3.0 * log.period
+    is_travelling = find_travelling([log.q])
     for j, joint in enumerate(description.joints):
         steps = np.where(is_near, np.diff(log.q[:, j]), 0.0)
         turn_rows = np.flatnonzero(np.abs(np.abs(steps) - _TURN) < 0.1 * _TURN)
         usual_step = np.median(np.abs(steps[steps != 0.0])) if np.any(steps) else 0.0
         if len(turn_rows) and usual_step < 0.05 * _TURN:
-            observation = (
-                f"its position jumps by a full turn at t = {log.t[turn_rows[0] + 1]:.4g} s"
+            yield Hypothesis(
+                check="wrap",
+                joint=joint,
+                observation="its position jumps by a full turn at t = "
+                f"{log.t[turn_rows[0] + 1]:.4g} s",
+                remedy="the log wraps angles; unwrap them first (numpy.unwrap)",
             )
-            remedy = "the log wraps angles; unwrap them first (numpy.unwrap)"
-            yield build_joint_finding("wrap", joint, observation, remedy)
-            continue
-        step_changes = np.abs(steps[1:] - steps[:-1])
-        threshold = (
-            max(_MIN_SPIKE_TO_USUAL * float(np.quantile(step_changes, 0.99)), _MIN_SPIKE)
-            if len(step_changes)
-            else 0.0
+        elif len(steps) > 2 and is_travelling[j]:  # the counts of a resting encoder are no spikes
+            yield from _doubt_single_row(log, j, joint, steps)
+
+
+def _doubt_single_row(log: Log, j: int, joint: str, steps: Array) -> Iterator[Hypothesis]:
+    """Doubt the row after the step that least fits between its neighbours.
+
+    A step within the range of the steps before and after it is a change of speed, however sudden;
+    one beyond both is a jump.
+    """
+    padded_steps = np.concatenate([steps[1:2], steps, steps[-2:-1]])
+    lower = np.minimum(padded_steps[:-2], padded_steps[2:])
+    upper = np.maximum(padded_steps[:-2], padded_steps[2:])
+    excess = np.maximum(np.maximum(lower - steps, steps - upper), 0.0)
+    lowest, highest = np.quantile(log.q[:, j], [0.01, 0.99])
+    threshold = max(
+        _MIN_SPIKE_TO_USUAL * float(np.quantile(np.abs(np.diff(steps)), 0.99)),
+        _MIN_SPIKE_SHARE * float(highest - lowest),
+    )
+    largest = float(excess.max())
+    if largest > threshold:
+        row = int(np.argmax(excess)) + 1
+        yield Hypothesis(
+            check="spikes",
+            joint=joint,
+            observation=f"its position is {largest:.3g} off at t = {log.t[row]:.4g} s",
+            remedy="a row is wrong, or rows were lost; leave it out",
         )
-        if len(step_changes) and float(step_changes.max()) > threshold:
-            k = int(np.argmax(step_changes)) + 1
-            observation = (
-                f"its position is {float(step_changes.max()):.3g} off at t = {log.t[k]:.4g} s"
-            )
-            yield build_joint_finding(
-                "spikes", joint, observation, "a row is wrong, or rows were lost; leave it out"
-            )
 
 
-def check_steps(log: Log, description: RobotDescription) -> Iterator[Finding]:
-    """Check that positions are finely quantised."""
+def check_steps(log: Log, description: RobotDescription) -> Iterator[Hypothesis]:
+    """Doubt that positions are finely quantised."""
     for j, joint in enumerate(description.joints):
         values = np.unique(log.q[:, j])
-        if len(values) < _MIN_STEPS or np.ptp(values) < _MIN_STEPS * _COARSE_STEP:
+        if len(values) < _MIN_STEPS:
             continue
         if np.array_equal(values, np.rint(values)):
-            observation = "its positions are whole numbers, as counts of an encoder are"
-            remedy = "give the size of a count in rad or m as [log.units] q, or log more digits"
-            yield build_joint_finding("coarse", joint, observation, remedy)
+            yield Hypothesis(
+                check="coarse",
+                joint=joint,
+                observation="its positions are whole numbers, as counts of an encoder are",
+                remedy="give the size of a count in rad or m as [log.units] q, or log more digits",
+            )
             continue
         step = float(np.median(np.diff(values)))
         # Distances of values are random with a fine encoder, equal with a coarse one.
         alike_share = np.mean(np.abs(np.diff(values) / step - 1.0) < 0.01)
-        if step > _COARSE_STEP and alike_share > 0.5:
-            observation = f"its position comes in steps of {step:.2g}"
-            remedy = (
-                "it was rounded, or the encoder is coarse; log more digits to get sharper "
-                "velocities"
-            )
-            yield build_joint_finding("coarse", joint, observation, remedy, "warning")
+        if not alike_share > 0.5 or len(values) == len(log.q):
+            continue
+        yield _doubt_resolution(log, j, joint, step, description.log.filter_cutoff)
 
 
-def check_limits(part: SmoothPart, robot: Robot) -> Iterator[Finding]:
-    """Check positions against the model's limits."""
+def _doubt_resolution(log: Log, j: int, joint: str, step: float, cutoff: float) -> Hypothesis:
+    """Doubt that a position in equal steps is fine enough for a low pass [Hz].
+
+    At a constant speed the positions of any encoder have equal distances. Only rounding leaves an
+    error of nearly a third of a step, which looks like noise.
+    """
+    measured_noise, speed_noise = compute_speed_noise(log, j, step / np.sqrt(12.0), cutoff)
+    # Single steps of a rounded position are faster than it moves, means over some rows are not.
+    window = min(max(1, round(1.0 / (cutoff * log.period))), len(log.t) - 1)
+    speeds = (log.q[window:, j] - log.q[:-window, j]) / (log.t[window:] - log.t[:-window])
+    peak = max(float(np.max(np.abs(speeds))), 1e-300)
+    return Hypothesis(
+        check="coarse",
+        joint=joint,
+        observation=f"its position comes in steps of {step:.2g}",
+        remedy="it was rounded, or the encoder is coarse; log more digits to get sharper "
+        "velocities",
+        severity="warning",
+        trials=(
+            Statistic(
+                name="the noise of its position over a step",
+                estimate=Estimate(value=measured_noise / step, error=0.0),
+                high=_MIN_COARSE_NOISE,
+            ),
+            Statistic(
+                name="the noise of its velocity over its peak",
+                estimate=Estimate(value=speed_noise / peak, error=0.0),
+                high=_MAX_SPEED_NOISE,
+            ),
+        ),
+    )
+
+
+def check_limits(part: SmoothPart, robot: Robot) -> Iterator[Hypothesis]:
+    """Doubt positions beyond the model's limits."""
     description = robot.description
     lower, upper, _ = robot.limits
     lowest = part.q.min(axis=0)
@@ -141,71 +215,77 @@ def check_limits(part: SmoothPart, robot: Robot) -> Iterator[Finding]:
     width = upper - lower
     is_rotary = ~np.array(robot.slides)
     radians_per_degree = np.pi / 180.0
+    # In degrees, all joints would lie within their limits.
+    excess_in_degrees = np.maximum(
+        lower - lowest * radians_per_degree, highest * radians_per_degree - upper
+    )
     looks_like_degrees = bool(np.any(is_rotary & (excess > 3.0 * width))) and bool(
-        np.all(
-            np.maximum(lower - lowest * radians_per_degree, highest * radians_per_degree - upper)[
-                is_rotary
-            ]
-            < MAX_EXCESS + 0.1
-        )
+        np.all((excess_in_degrees < 2.0 * MAX_EXCESS_SHARE * width)[is_rotary])
     )
     columns = column_names(description.log.columns.q, description.joints)
     for j, joint in enumerate(description.joints):
-        if excess[j] <= MAX_EXCESS:
+        if not excess[j] > MAX_EXCESS_SHARE * width[j]:
             continue
-        is_motor_column = (
-            excess[j] > width[j] and description.logged is None and is_of_motor(columns[j])
-        )
+        is_impossible = bool(excess[j] > width[j])
+        is_motor_column = is_impossible and description.logged is None and is_of_motor(columns[j])
         suggests_degrees = looks_like_degrees and is_rotary[j] and not is_motor_column
-        is_impossible = excess[j] > width[j]
-        extreme = highest[j] if highest[j] - upper[j] > lower[j] - lowest[j] else lowest[j]
-        limit = upper[j] if highest[j] - upper[j] > lower[j] - lowest[j] else lower[j]
-        declared_units = description.log.units.expand_per_joint("q", robot.n)
-        corrected_units = tuple(
-            "deg" if rotary else name
-            for name, rotary in zip(declared_units, is_rotary, strict=True)
-        )
-        unit: str | tuple[object, ...] = (
-            "deg" if len(set(corrected_units)) == 1 else corrected_units
-        )
-        yield Finding(
+        exceeds_upper = highest[j] - upper[j] > lower[j] - lowest[j]
+        extreme = highest[j] if exceeds_upper else lowest[j]
+        limit = upper[j] if exceeds_upper else lower[j]
+        changes: dict[str, object] = {}
+        if is_motor_column:
+            remedy = (
+                f"columns such as '{columns[0]}' are named like motors; give the turns of each "
+                "motor per turn of each joint as 'matrix' in [transmission], with logs = 'motor'"
+            )
+        elif suggests_degrees:
+            remedy = "q is in degrees; set [log.units] q = 'deg'"
+            changes = {"log.units.q": _correct_degrees(description, is_rotary)}
+        elif is_impossible:
+            remedy = "its unit, its zero or its column is wrong, or the model's limits are"
+        else:
+            remedy = "the log's zero differs from the model's, or the model's limits are narrow"
+        severity: Severity = "error" if is_impossible else "warning"
+        yield Hypothesis(
             check="limits",
-            severity="error" if is_impossible else "warning",
-            joints=(joint,),
-            found=f"its position reaches {extreme:.4g}, the model's limit is {limit:.4g}",
-            remedy=f"columns such as '{columns[0]}' are named like motors'; give the turns of each "
-            "motor per turn of each joint as 'matrix' in [transmission], with logs = 'motor'"
-            if is_motor_column
-            else "q is in degrees; set [log.units] q = 'deg'"
-            if suggests_degrees
-            else "its unit, its zero or its column is wrong, or the model's limits are"
-            if is_impossible
-            else "the log's zero differs from the model's, or the model's limits are narrow",
-            changes={"log.units.q": unit} if suggests_degrees else {},
+            joint=joint,
+            observation=f"its position reaches {extreme:.4g}, the model's limit is {limit:.4g}",
+            remedy=remedy,
+            severity=severity,
+            changes=changes,
         )
 
 
-def check_sliding(part: SmoothPart, robot: Robot) -> Iterator[Finding]:
-    """Check that no sliding joint moves as only millimetres can."""
+def _correct_degrees(description: RobotDescription, is_rotary: Array) -> str | tuple[object, ...]:
+    declared_units = description.log.units.expand_per_joint("q", len(is_rotary))
+    corrected_units = tuple(
+        "deg" if rotary else unit for unit, rotary in zip(declared_units, is_rotary, strict=True)
+    )
+    return "deg" if len(set(corrected_units)) == 1 else corrected_units
+
+
+def check_sliding(part: SmoothPart, robot: Robot) -> Iterator[Hypothesis]:
+    """Doubt sliding joints that move as only millimetres can."""
     units = robot.description.log.units
     travel = np.ptp(part.q, axis=0)
     speed = np.max(np.abs(part.v), axis=0)
-    for j in np.flatnonzero(
-        np.array(robot.slides) & ((travel > _MAX_SLIDING_TRAVEL) | (speed > _MAX_SLIDING_SPEED))
-    ):
+    for j in np.flatnonzero(np.array(robot.slides) & (travel > _MAX_SLIDING_TRAVEL)):
         is_only_unit = all(robot.slides) and units.expand_per_joint("q", robot.n)[j] in ("m", "rad")
         changes = {"log.units.q": "mm"} if is_only_unit else {}
         if changes and part.dq is not None:
             changes["log.units.dq"] = "mm/s"
-        observation = f"it slides by {travel[j]:.3g} m at up to {speed[j]:.3g} m/s"
         remedy = "q is in mm; set [log.units] q = 'mm'" if is_only_unit else "see the units of q"
-        yield build_joint_finding(
-            "sliding-unit", robot.joints[j], observation, remedy, changes=changes
+        yield Hypothesis(
+            check="sliding-unit",
+            joint=robot.joints[j],
+            observation=f"it slides by {travel[j]:.3g} m at up to {speed[j]:.3g} m/s",
+            remedy=remedy,
+            changes=changes,
         )
 
 
-def check_columns(part: SmoothPart, description: RobotDescription) -> Iterator[Finding]:
-    """Check that no column is a copy, constant, or clipped."""
+def check_columns(part: SmoothPart, description: RobotDescription) -> Iterator[Hypothesis]:
+    """Doubt columns that are copies, constant, or clipped."""
     joints = [int(j) for j in np.flatnonzero(part.is_moving)]
     for quantity, values in (("position", part.q), ("velocity", part.dq), ("torque", part.tau)):
         if values is None:
@@ -213,26 +293,32 @@ def check_columns(part: SmoothPart, description: RobotDescription) -> Iterator[F
         for j in joints:
             for other_j in range(j):
                 if np.std(values[:, j]) > 0 and np.array_equal(values[:, j], values[:, other_j]):
-                    other_joint = description.joints[other_j]
-                    observation = (
-                        f"its {quantity} equals that of joint '{other_joint}' in every row"
-                    )
-                    remedy = "one column is used for both; see [log.columns]"
-                    yield build_joint_finding(
-                        "same-column", description.joints[j], observation, remedy
+                    yield Hypothesis(
+                        check="same-column",
+                        joint=description.joints[j],
+                        observation=f"its {quantity} equals that of joint "
+                        f"'{description.joints[other_j]}' in every row",
+                        remedy="one column is used for both; see [log.columns]",
                     )
     for j in joints:
         tau = part.log.tau[:, j]
         if np.ptp(tau) == 0.0:
-            observation = f"it moves while its torque stays at {tau[0]:.4g}"
-            remedy = "its torque is not logged, or another column is"
-            yield build_joint_finding("torque-constant", description.joints[j], observation, remedy)
-        elif (share := _compute_share_at_limit(tau)) > _MAX_SATURATED_SHARE:
-            largest = f"{np.max(np.abs(tau)):.4g}"
-            observation = f"{100 * share:.1f} % of its rows are at the largest torque, {largest}"
-            remedy = "the drive or the log clips the torque; friction beyond is not learned"
-            yield build_joint_finding(
-                "saturation", description.joints[j], observation, remedy, "warning"
+            yield Hypothesis(
+                check="torque-constant",
+                joint=description.joints[j],
+                observation=f"it moves while its torque stays at {tau[0]:.4g}",
+                remedy="its torque is not logged, or another column is",
+            )
+            continue
+        share = _compute_share_at_limit(tau)
+        if share > _MAX_SATURATED_SHARE:
+            yield Hypothesis(
+                check="saturation",
+                joint=description.joints[j],
+                observation=f"{100 * share:.1f} % of its rows are at the largest torque, "
+                f"{np.max(np.abs(tau)):.4g}",
+                remedy="the drive or the log clips the torque; friction beyond is not learned",
+                severity="warning",
             )
 
 
@@ -274,8 +360,8 @@ def loses_rows(log: Log) -> bool:
     )
 
 
-def check_loss(part: SmoothPart, torques: ModelTorques, robot: Robot) -> Iterator[Finding]:
-    """Check that the remaining rows determine each joint's sliding torque.
+def check_loss(part: SmoothPart, torques: ModelTorques, robot: Robot) -> Iterator[Hypothesis]:
+    """Doubt that the remaining rows determine each joint's sliding torque.
 
     The difference of estimates from random halves has four times the variance of the estimate from
     all rows.
@@ -288,15 +374,15 @@ def check_loss(part: SmoothPart, torques: ModelTorques, robot: Robot) -> Iterato
         worst = int(np.argmax(relative_uncertainty))
         if relative_uncertainty[worst] <= _MAX_UNCERTAINTY:
             continue
-        unit = "m/s" if robot.slides[j] else "rad/s"
-        observation = (
-            f"many rows are missing; its sliding torque at {speeds[worst]:.2g} {unit} is uncertain "
-            f"by {100 * min(relative_uncertainty[worst], 9.99):.2g} %"
+        unit = unit_of_joint("rad/s", is_prismatic=robot.slides[j])
+        yield Hypothesis(
+            check="missing-rows",
+            joint=robot.joints[j],
+            observation=f"many rows are missing; its sliding torque at {speeds[worst]:.2g} {unit} "
+            f"is uncertain by {100 * min(relative_uncertainty[worst], 9.99):.2g} %",
+            remedy=f"friction needs {100 * _MAX_UNCERTAINTY:g} %; record without losses, or for "
+            "longer",
         )
-        remedy = (
-            f"friction needs {100 * _MAX_UNCERTAINTY:g} %; record without losses, or for longer"
-        )
-        yield build_joint_finding("missing-rows", robot.joints[j], observation, remedy)
 
 
 def _estimate_sliding_torque(

@@ -14,8 +14,8 @@ import sympy
 
 from hesr_model.equations.kernel import Kernel, KernelRun
 from hesr_model.equations.memory import Stop
-from hesr_model.findings import Finding, build_joint_finding
-from hesr_model.health.evidence import Estimate, SmoothPart, friction_shape
+from hesr_model.health.evidence import SmoothPart, friction_shape
+from hesr_model.health.referee import Estimate, Hypothesis, LeftOutRows, Race, Statistic
 from hesr_model.inference.covariance import correlation_length
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth
@@ -24,7 +24,7 @@ from hesr_model.robots.robot import Robot
 from hesr_model.robots.transmission import transform_motion
 from hesr_model.support.arrays import Array, Mask
 
-_STOP_WIDTHS = 2.5e-4 * 2.0 ** np.arange(9)  # break-away deflections [rad or m]
+_STOP_WIDTHS = 2.5e-4 * 2.0 ** np.arange(9)  # break-away deflections, as shares of the travel
 _SLOW_SHARE = 0.5  # decay speed of shapes that fall with speed, over the peak speed
 _MAX_DELAY = 0.25  # largest delay searched [s]
 _SEARCH_STEP = 0.005  # [s]
@@ -44,7 +44,6 @@ _INERTIA_SCALES = np.geomspace(1.0 / 16.0, 16.0, 33)
 _MIN_REPORTED_RATE = 1.4  # reported factor of a wrong time-stamp rate
 # What the right rate leaves of most joints' unexplained squares; a wrong zero leaves 0.6.
 _MAX_REMAINING_SQUARES = 0.5
-_MIN_CERTAINTY = 25.0  # twice the log-likelihood ratio: five standard errors
 _INTERVAL_ERRORS = 3.0  # standard errors of a stated interval
 _MIN_DURATION_TO_DELAY = 8.0  # duration of a log over the largest delay
 
@@ -88,7 +87,8 @@ class LagRows:
             )
         u = transform_motion(logged_coupling, log.q)
         v = transform_motion(logged_coupling, motion.dq)
-        travel = np.maximum.accumulate(np.abs(u - u[0]), axis=0)
+        distance = np.maximum.accumulate(np.abs(u - u[0]), axis=0)
+        travel = np.maximum(np.ptp(u, axis=0), 1e-300)
         averages = _build_averages(log.t, times, log.period)
         body_averages = _build_averages(log.t[body_rows], times, log.period)
         even_times = np.arange(log.t[0], log.t[-1], log.period)
@@ -102,7 +102,7 @@ class LagRows:
             friction_shapes=tuple(
                 averages @ _compute_friction_shapes(u[:, j], v[:, j]) for j in range(robot.n)
             ),
-            is_known=averages @ (1.0 * (travel > 2.0 * _STOP_WIDTHS[-1])) > 1.0 - 1e-9,
+            is_known=averages @ (1.0 * (distance > 2.0 * _STOP_WIDTHS[-1] * travel)) > 1.0 - 1e-9,
         )
 
 
@@ -129,11 +129,12 @@ def _build_averages(t: Array, times: Array, period: float) -> Any:
 
 def _compute_friction_shapes(u: Array, v: Array) -> Array:
     """Return friction of several shapes (N, K) along a position u (N,)."""
-    stops = KernelRun(_build_stops(), [np.diff(u, prepend=u[0])], np.ones_like(u))
+    travel = max(float(np.ptp(u)), 1e-300)
+    stops = KernelRun(_build_stops(), [np.diff(u, prepend=u[0]) / travel], np.ones_like(u))
     initial_state = np.full(len(_STOP_WIDTHS), np.sign(v[0]))
     stop_shapes = stops.evaluate(np.zeros(0), initial_state, settled=True)
     # Friction falls with speed.
-    speed_weights = np.exp(-np.abs(v) / (_SLOW_SHARE * np.max(np.abs(v), initial=1e-9)))
+    speed_weights = np.exp(-np.abs(v) / (_SLOW_SHARE * np.max(np.abs(v), initial=1e-300)))
     velocity_shapes = np.sign(v), friction_shape(v), v, v * np.abs(v), np.ones_like(v)
     return np.column_stack([stop_shapes, stop_shapes * speed_weights[:, None], *velocity_shapes])
 
@@ -150,10 +151,10 @@ def _build_stops() -> Kernel:
 
 def check_clocks(
     part: SmoothPart, joints: Sequence[int], robot: Robot
-) -> tuple[list[Finding], Collection[int]]:
-    """Check the rate of the stamps and the lag of torques of `joints`.
+) -> tuple[list[Hypothesis], Collection[int]]:
+    """Doubt the rate of the stamps and the lag of torques of `joints`.
 
-    Returns findings, and joints whose torque lags; none for short logs and those slower than the
+    Returns hypotheses, and joints whose torque lags; none for short logs and those slower than the
     averages.
     """
     is_slow = np.median(np.diff(part.t)) > _AVERAGING_WINDOW
@@ -161,31 +162,74 @@ def check_clocks(
         return [], ()
     rows = LagRows.from_log(part.log, robot, base_columns(robot))
     joint_lags = find_lags(rows, joints)
-    remedy = "torques were filtered or come from another clock; shift their columns in time"
-    findings = []
-    for j, lag in joint_lags.items():
-        direction = "late" if lag.value > 0 else "early"
-        half_interval = 1e3 * _INTERVAL_ERRORS * lag.error
-        observation = (
-            f"its torque is about {1e3 * abs(lag.value):.0f} ms {direction} relative to the motion "
-            f"(+- {half_interval:.0f} ms)"
-        )
-        findings.append(
-            build_joint_finding("torque-lag", robot.joints[j], observation, remedy, "warning")
-        )
+    lag_hypotheses = [_doubt_lag(rows, j, lag, robot) for j, lag in joint_lags.items()]
+    late_joints = {
+        j
+        for j, hypothesis in zip(joint_lags, lag_hypotheses, strict=True)
+        if hypothesis.outcome == "won"
+    }
     rate, certainty = estimate_stamp_rate(rows, joints)
-    if certainty > _MIN_CERTAINTY and max(rate, 1.0 / rate) > _MIN_REPORTED_RATE:
-        findings.append(_report_wrong_rate(rate))
-    return findings, joint_lags
+    rate_hypotheses = []
+    if max(rate, 1.0 / rate) > _MIN_REPORTED_RATE:
+        rate_hypotheses.append(_doubt_rate(rate, certainty))
+    return [*lag_hypotheses, *rate_hypotheses], late_joints
 
 
-def _report_wrong_rate(rate: float) -> Finding:
-    speed_text = f"{rate:.2g} times slower" if rate > 1 else f"{1 / rate:.2g} times faster"
-    observation = (
-        f"compared with gravity, its inertial torques are those of a motion that is {speed_text}"
+def _doubt_lag(rows: LagRows, j: int, lag: Estimate, robot: Robot) -> Hypothesis:
+    direction = "late" if lag.value > 0 else "early"
+    half_interval = 1e3 * _INTERVAL_ERRORS * lag.error
+    return Hypothesis(
+        check="torque-lag",
+        joint=robot.joints[j],
+        observation=f"its torque is about {1e3 * abs(lag.value):.0f} ms {direction} relative to "
+        f"the motion (+- {half_interval:.0f} ms)",
+        remedy="torques were filtered or come from another clock; shift their columns in time",
+        severity="warning",
+        trials=(_race_lag(rows, j, lag),),
+        record="faster motion with more reversals",
     )
-    remedy = "the time stamps come from a wrong sample rate, or their unit is wrong; see "
-    return build_joint_finding("time-scale", "", observation, f"{remedy}[log.units] t", "warning")
+
+
+def _race_lag(rows: LagRows, j: int, lag: Estimate) -> Race:
+    """Return the race of a lag against none, by residuals of friction with memory.
+
+    The lag that left-out rows judge is the best of the other rows on the same side of 0.
+    """
+    residuals = _fit_shifted(rows, j)
+    squares_by_shift = residuals**2
+    zero = len(_SHIFTS) // 2
+    same_side = np.flatnonzero(_SHIFTS * np.sign(lag.value) > 0.0)
+    # Averages are evenly spaced.
+    times = np.arange(len(residuals), dtype=float)
+    left_out = LeftOutRows.split([""], [times])
+    squares = squares_by_shift[:, zero].copy()
+    for judged, trained in zip(left_out.judged, left_out.trained, strict=True):
+        totals = squares_by_shift[trained][:, same_side].sum(axis=0)
+        squares[judged] = squares_by_shift[judged, same_side[int(np.argmin(totals))]]
+    return Race(rival="no lag", rival_squares=squares_by_shift[:, zero], squares=squares)
+
+
+def _doubt_rate(rate: float, certainty: float) -> Hypothesis:
+    speed_text = f"{rate:.2g} times slower" if rate > 1 else f"{1 / rate:.2g} times faster"
+    distance = abs(float(np.log(rate)))
+    return Hypothesis(
+        check="time-scale",
+        joint="",
+        observation="compared with gravity, its inertial torques are those of a motion that is "
+        f"{speed_text}",
+        remedy="the time stamps come from a wrong sample rate, or their unit is wrong; see "
+        "[log.units] t",
+        severity="warning",
+        trials=(
+            Statistic(
+                name="the logarithm of the rate of the stamps",
+                # The certainty is twice the log-likelihood ratio: squared standard errors.
+                estimate=Estimate(value=distance, error=distance / np.sqrt(max(certainty, 1e-300))),
+                high=0.0,
+            ),
+        ),
+        record="faster motion",
+    )
 
 
 def find_lags(rows: LagRows, joints: Sequence[int]) -> dict[int, Estimate]:
@@ -265,18 +309,48 @@ def estimate_delays(rows: LagRows, j: int) -> tuple[Estimate, Estimate]:
 
     The error is infinite at an end of the search range.
     """
+    projected = _project_lag_rows(rows, j)
+    if projected is None:
+        return (Estimate(value=0.0, error=np.inf),) * 2
+    shapes, torques, unknown_count = projected
+    return _fit_delay(shapes, torques, unknown_count), _fit_delay(
+        shapes[:, -2:], torques, unknown_count
+    )
+
+
+def _project_lag_rows(rows: LagRows, j: int) -> tuple[Array, Array, int] | None:
+    """Return friction (N, K) and torques (N, S) without what a free body explains of either.
+
+    The third item is the number of unknowns of the body; None if there are too few rows.
+    """
     shape_count = 2 * len(_STOP_WIDTHS) + 2
     is_known = rows.is_known[:, j]
     shapes, other_columns = np.split(rows.friction_shapes[j][is_known], [shape_count], axis=1)
     other_columns = np.hstack([(rows.static + rows.inertial)[is_known, j], other_columns])
     if len(other_columns) <= other_columns.shape[1] + shape_count:
-        return (Estimate(value=0.0, error=np.inf),) * 2
+        return None
     projected = _project_out(other_columns, np.hstack([shapes, rows.torques[is_known, :, j]]))
     shapes, torques = np.split(projected, [shape_count], axis=1)
-    unknown_count = other_columns.shape[1]
-    return _fit_delay(shapes, torques, unknown_count), _fit_delay(
-        shapes[:, -2:], torques, unknown_count
-    )
+    return shapes, torques, other_columns.shape[1]
+
+
+def _fit_shifted(rows: LagRows, j: int) -> Array:
+    """Return what a free body and friction with memory leave of shifted torques (N, S)."""
+    projected = _project_lag_rows(rows, j)
+    if projected is None:
+        return np.zeros((1, len(_SHIFTS)))
+    shapes, torques, _ = projected
+    return _compute_residuals(shapes, torques)
+
+
+def _compute_residuals(shapes: Array, torques: Array) -> Array:
+    """Return torques (N, S) without friction (N, K) of non-negative weights."""
+    from scipy.optimize import nnls
+
+    # Friction of negative weight would imitate a lag.
+    basis, triangle = np.linalg.qr(shapes)
+    fits = np.array([nnls(triangle, column, maxiter=1000)[0] for column in (basis.T @ torques).T]).T
+    return np.asarray(torques - shapes @ fits)
 
 
 def _fit_delay(shapes: Array, torques: Array, fitted_count: int) -> Estimate:
@@ -284,12 +358,7 @@ def _fit_delay(shapes: Array, torques: Array, fitted_count: int) -> Estimate:
 
     Other unknowns, `fitted_count` of them, were eliminated before.
     """
-    from scipy.optimize import nnls
-
-    # Friction of negative weight would imitate a lag.
-    basis, triangle = np.linalg.qr(shapes)
-    fits = np.array([nnls(triangle, column, maxiter=1000)[0] for column in (basis.T @ torques).T]).T
-    residuals = torques - shapes @ fits
+    residuals = _compute_residuals(shapes, torques)
     squares = np.sum(residuals**2, axis=0)
     k = int(np.argmin(squares))
     if k in (0, len(squares) - 1):

@@ -1,29 +1,47 @@
 """Torque checks: raw signal, and signs and scales against motion and model."""
 
 from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from hesr_model.equations.recurrence import recurrence
-from hesr_model.findings import Finding, build_joint_finding
-from hesr_model.health.evidence import ModelTorques, SmoothPart, TorqueFit, fit_joint_torque
+from hesr_model.health.evidence import (
+    ModelTorques,
+    SmoothPart,
+    TorqueFit,
+    estimate_white_noise,
+    fit_joint_torque,
+    friction_shape,
+)
+from hesr_model.health.referee import (
+    CURE_GAIN,
+    MATERIAL_GAIN,
+    Estimate,
+    Hypothesis,
+    LeftOutRows,
+    Race,
+    Statistic,
+)
 from hesr_model.health.velocity import join_units
-from hesr_model.logs.rest import find_resting_speeds
+from hesr_model.logs.rest import find_resting_speeds, moves_both_ways
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.arrays import Array, Mask
 from hesr_model.units import reverse_unit, unit_of_joint
 
-_MIN_SIGNIFICANCE = 5.0  # significance threshold in standard errors
 _MAX_SCALE = 3.0  # plausible factor of gravity; real arms have 0.6 to 1.5
+_HUGE_SCALE = 10.0  # factor of a gravity that the model has hardly any of
 _MIN_R2 = 0.8  # minimum R^2 for a scale estimate
 NO_SIGNAL_R2 = 0.35  # R^2 below which nothing is explained
 _DEFLECTION_SHARES = (0.03, 0.1, 0.3)  # of the travel, after which friction slides
 _MAX_COMPUTED_RESIDUAL = 0.1  # residual share of computed torques
-_MIN_GRAVITY_TO_RESIDUAL = 0.5  # gravity over the residual to judge its sign
 _MAX_WEIGHTLESS_SHARE = 0.1  # share of the model's gravity in weightless torques
 _MAX_PEAK_TO_LIMIT = 10.0
 _MIN_RATIO_TO_OTHERS = 30.0  # peak over the model's limit, others over own
+_SIGNIFICANCE = 5.0  # standard errors that choose between gravity and inertia as a measure
+_TELLING_MOTION = "motion that reverses, at several speeds"
 TorqueFits = Mapping[int, TorqueFit]  # by index of the joint
 
 
@@ -34,78 +52,257 @@ def fit_joint_torques(part: SmoothPart, torques: ModelTorques) -> TorqueFits:
     return {int(j): fit_joint_torque(*(signal[:, j] for signal in signals)) for j in moving_joints}
 
 
-def _explain_by_hysteresis(part: SmoothPart, j: int) -> float:
-    """Return the share of a torque's variance that sliding after a deflection explains, R^2.
+@dataclass(frozen=True, eq=False)
+class Explanations:
+    """What may explain the torque of a joint along a part of a log, free of charge.
 
-    Friction that builds up over most of a short stroke hardly depends on the velocity.
+    Attributes
+    ----------
+    part : rows of a log at the side that the log measures.
+    torques : of the model.
+    j : index of the joint.
+    left_out : folds of the rows.
     """
-    v = part.v[:, j]
-    tau = part.tau[:, j]
-    travel = float(np.ptp(part.q[:, j]))
-    distances = np.abs(v) * np.diff(part.t, prepend=part.t[0])
-    best_r2 = 0.0
-    for share in _DEFLECTION_SHARES:
-        # x' = v / w - |v| x / w, exactly for speeds held over a step.
-        decay = np.exp(-distances / (share * travel))
-        deflection = recurrence(decay, (1.0 - decay) * np.sign(v), 0.0)
-        columns = np.column_stack([deflection, v, np.ones_like(v)])
-        residual = tau - columns @ np.linalg.lstsq(columns, tau, rcond=None)[0]
-        best_r2 = max(best_r2, 1.0 - float(np.var(residual) / np.var(tau)))
-    return best_r2
+
+    part: SmoothPart
+    torques: ModelTorques
+    j: int
+    left_out: LeftOutRows
+
+    @property
+    def tau(self) -> Array:
+        """The torque (N,)."""
+        return self.part.tau[:, self.j]
+
+    @property
+    def gravity(self) -> Array:
+        """The model's gravity (N,), without its mean."""
+        return self.torques.gravity[:, self.j]
+
+    @property
+    def inertial(self) -> Array:
+        """The model's torque (N,) of acceleration."""
+        return self.torques.inertial[:, self.j]
+
+    @cached_property
+    def friction(self) -> Array:
+        """Coulomb and viscous friction and an offset (N, 3)."""
+        v = self.part.v[:, self.j]
+        return np.column_stack([friction_shape(v), v, np.ones_like(v)])
+
+    @cached_property
+    def friction_with_memory(self) -> tuple[Array, ...]:
+        """Friction that slides after deflections of several sizes, each (N, 4)."""
+        v = self.part.v[:, self.j]
+        q = self.part.q[:, self.j]
+        travel = max(float(np.ptp(q)), 1e-300)
+        distances = np.abs(v) * np.diff(self.part.t, prepend=self.part.t[0])
+        alternatives = []
+        for share in _DEFLECTION_SHARES:
+            # x' = v / w - |v| x / w, exactly for speeds held over a step.
+            decay = np.exp(-distances / (share * travel))
+            deflection = recurrence(decay, (1.0 - decay) * np.sign(v), 0.0)
+            position = (q - q.mean()) / travel
+            alternatives.append(np.column_stack([deflection, v, position, np.ones_like(v)]))
+        return tuple(alternatives)
+
+    def predict(self, target: Array, *columns: Array, non_negative: int = 0) -> Array:
+        """Return the squared errors (N,) of predictions of a target on left-out rows."""
+        table = np.column_stack(columns)
+        return self.left_out.predict(table, target, non_negative=non_negative) ** 2
+
+    def estimate_spread(self, kind: int) -> float:
+        """Return half the range of a scale over free shapes of friction.
+
+        Parameters
+        ----------
+        kind : 0 for that of gravity, 1 for that of inertia.
+        """
+        scales = []
+        for friction in (self.friction, *self.friction_with_memory):
+            columns = np.column_stack([self.gravity, self.inertial, friction])
+            size = np.maximum(np.linalg.norm(columns, axis=0), 1e-150)
+            coefficients = np.linalg.lstsq(columns / size, self.tau, rcond=1e-9)[0] / size
+            scales.append(float(coefficients[kind]))
+        return 0.5 * (max(scales) - min(scales))
+
+    @cached_property
+    def explained_share(self) -> Estimate:
+        """Share of the torque's signal that the best explanation predicts on left-out rows.
+
+        White noise is no signal that anything could explain.
+        """
+        ones = np.ones((len(self.tau), 1))
+        constant_squares = self.predict(self.tau, ones)
+        candidates = [
+            self.predict(self.tau, self.gravity, self.inertial, friction)
+            for friction in (self.friction, *self.friction_with_memory)
+        ]
+        best_squares = min(candidates, key=lambda squares: float(squares.sum()))
+        gain = Race(rival="a constant", rival_squares=constant_squares, squares=best_squares).gain
+        noise = float(estimate_white_noise(self.part.log.tau[:, [self.j]])[0])
+        variance = float(np.var(self.tau))
+        noise_share = min(noise**2 / max(variance, 1e-300), 1.0)
+        signal_share = max(1.0 - noise_share, MATERIAL_GAIN)
+        return Estimate(value=gain.value / signal_share, error=gain.error / signal_share)
 
 
 def check_torque(
-    part: SmoothPart, fits: TorqueFits, robot: Robot, blurred_joints: Collection[int] = ()
-) -> Iterator[Finding]:
-    """Check torques, but not the scale of `blurred_joints` joints."""
+    part: SmoothPart,
+    fits: TorqueFits,
+    robot: Robot,
+    blurred_joints: Collection[int] = (),
+    torques: ModelTorques | None = None,
+    *,
+    is_stated: bool = True,
+) -> Iterator[Hypothesis]:
+    """Doubt torques, by their fits and by races on left-out rows.
+
+    Parameters
+    ----------
+    part : rows of a log at the side that the log measures.
+    fits : of the moving joints.
+    robot : the model.
+    blurred_joints : joints whose scale is not judged.
+    torques : of the model along the part; without them there are no races.
+    is_stated : whether the robot file states the body, which then can be judged.
+    """
+    left_out = LeftOutRows.split([part.log.name], [part.t])
     for j, fit in fits.items():
-        if fit.r2 < NO_SIGNAL_R2 and _explain_by_hysteresis(part, j) < NO_SIGNAL_R2:
-            level_count = len(np.unique(part.tau[:, j]))
-            observation = (
-                f"model and friction explain {100 * max(fit.r2, 0):.0f} % of its torque, "
-                f"which takes {level_count} values"
-            )
-            remedy = "it contains almost no signal, or belongs to another joint"
-            yield build_joint_finding(
-                "torque-signal", robot.description.joints[j], observation, remedy, "warning"
-            )
+        explanations = None if torques is None else Explanations(part, torques, j, left_out)
+        doubt = _doubt_signal(part, fit, j, robot, explanations)
+        if doubt is not None:
+            yield doubt
             continue
-        yield from _check_sign(fit, j, robot)
-        if j not in blurred_joints:
-            yield from _check_scale(fit, j, fits, robot)
-        if (
-            fit.gravity.t < -_MIN_SIGNIFICANCE
-            and fit.gravity_size > _MIN_GRAVITY_TO_RESIDUAL * fit.residual
-        ):
-            yield Finding(
-                check="gravity-sign",
-                joints=(robot.description.joints[j],),
-                found="its gravity torque has the opposite sign of the model's "
-                f"({fit.gravity.value:.2g} times, {abs(fit.gravity.t):.0f} standard errors)",
-                remedy="the mounting differs from 'gravity', its zero is off by half a turn, or "
-                "torque or position has the wrong sign",
+        yield from _doubt_sign(fit, j, robot, explanations)
+        if is_stated:
+            if j not in blurred_joints:
+                yield from _doubt_scale(fit, j, fits, robot, explanations)
+            yield from _doubt_gravity(fit, j, robot, explanations)
+    if is_stated:
+        yield from _doubt_friction(fits, robot)
+    yield from _doubt_peaks(part, fits, robot)
+
+
+def _doubt_signal(
+    part: SmoothPart, fit: TorqueFit, j: int, robot: Robot, explanations: Explanations | None
+) -> Hypothesis | None:
+    """Doubt that a torque holds a signal, if nothing explains it."""
+    if fit.r2 >= NO_SIGNAL_R2:
+        return None
+    explained_share = (
+        Estimate(value=fit.r2, error=0.0) if explanations is None else explanations.explained_share
+    )
+    trial = Statistic(
+        name="the explained share of its signal",
+        estimate=explained_share,
+        low=NO_SIGNAL_R2,
+        errors=1.0,
+    )
+    if trial.outcome == "lost":
+        return None
+    # Motion one way at one speed shows no friction, however good the torque.
+    tells = moves_both_ways(part.log.q[:, j])
+    level_count = len(np.unique(part.tau[:, j]))
+    return Hypothesis(
+        check="torque-signal",
+        joint=robot.description.joints[j],
+        observation=f"model and friction explain {100 * max(explained_share.value, 0.0):.0f} % of "
+        f"its torque, which takes {level_count} values",
+        remedy="it contains almost no signal, or belongs to another joint",
+        severity="warning",
+        trials=(trial,),
+        contradictions=()
+        if tells
+        else ("it never reverses, so that its friction may be a constant",),
+        record=_TELLING_MOTION,
+    )
+
+
+def _build_share_trial(name: str, size: float, residual: float) -> Statistic:
+    """Return the trial that a part of a torque explains a material share of its squares."""
+    share = size**2 / max(size**2 + residual**2, 1e-300)
+    return Statistic(name=name, estimate=Estimate(value=share, error=0.0), high=MATERIAL_GAIN)
+
+
+def _doubt_gravity(
+    fit: TorqueFit, j: int, robot: Robot, explanations: Explanations | None
+) -> Iterator[Hypothesis]:
+    """Doubt that the model's gravity acts from the side that the file states."""
+    if fit.gravity.value >= 0.0:
+        return
+    trials: list[Race | Statistic] = [
+        Statistic(name="gravity over the model's", estimate=fit.gravity, low=0.0),
+        _build_share_trial("the share of gravity", fit.gravity_size, fit.residual),
+    ]
+    if explanations is not None:
+        # In free swing gravity and inertia cancel: both at once or neither explain the torque.
+        rival_squares, squares = (
+            explanations.predict(
+                explanations.tau,
+                sign * explanations.gravity,
+                explanations.inertial,
+                explanations.friction,
+                non_negative=2,
             )
-    yield from _check_friction(fits, robot)
-    yield from _check_limits(part, fits, robot)
+            for sign in (1.0, -1.0)
+        )
+        trials.append(
+            Race(rival="gravity as the file has it", rival_squares=rival_squares, squares=squares)
+        )
+    yield Hypothesis(
+        check="gravity-sign",
+        joint=robot.description.joints[j],
+        observation="its gravity torque has the opposite sign of the model's "
+        f"({fit.gravity.value:.2g} times, {abs(fit.gravity.t):.0f} standard errors)",
+        remedy="the mounting differs from 'gravity', its zero is off by half a turn, or "
+        "torque or position has the wrong sign",
+        trials=tuple(trials),
+        record="the joint at rest in several positions",
+    )
 
 
-def _check_sign(fit: TorqueFit, j: int, robot: Robot) -> Iterator[Finding]:
-    if fit.friction.t > -_MIN_SIGNIFICANCE or fit.friction_size < 0.3 * fit.residual:
+def _doubt_sign(
+    fit: TorqueFit, j: int, robot: Robot, explanations: Explanations | None
+) -> Iterator[Hypothesis]:
+    """Doubt the sign of a torque that drives the motion where friction should brake it."""
+    if fit.friction.value >= 0.0:
         return
     description = robot.description
-    follows_gravity = fit.bears_gravity and fit.gravity.t > _MIN_SIGNIFICANCE
+    trials: list[Race | Statistic] = [
+        Statistic(name="friction along the velocity", estimate=fit.friction, low=0.0),
+        _build_share_trial("the share of friction", fit.friction_size, fit.residual),
+    ]
+    if explanations is not None:
+        rival_squares, squares = (
+            explanations.predict(
+                explanations.tau,
+                sign * explanations.friction[:, 0],
+                explanations.gravity,
+                explanations.inertial,
+                explanations.friction[:, -1],
+                non_negative=1,
+            )
+            for sign in (1.0, -1.0)
+        )
+        trials.append(
+            Race(rival="friction that brakes", rival_squares=rival_squares, squares=squares)
+        )
+    follows_gravity = fit.bears_gravity and fit.gravity.t > _SIGNIFICANCE
     subject = "position and velocity count" if follows_gravity else "torque counts"
     key, changes = find_sign_change(description, j, position=follows_gravity)
     unit = unit_of_joint("N.m", is_prismatic=robot.slides[j])
     alternative = "" if fit.bears_gravity else ", or its position and velocity do"
-    observation = (
-        "its torque drives the motion where friction should brake it "
+    yield Hypothesis(
+        check="torque-sign",
+        joint=description.joints[j],
+        observation="its torque drives the motion where friction should brake it "
         f"({fit.friction.value:.3g} {unit} along the velocity, {abs(fit.friction.t):.0f} "
-        "standard errors)"
-    )
-    remedy = f"its {subject} backwards{alternative}; set {key}"
-    yield build_joint_finding(
-        "torque-sign", description.joints[j], observation, remedy, changes=changes
+        "standard errors)",
+        remedy=f"its {subject} backwards{alternative}; set {key}",
+        trials=tuple(trials),
+        record=_TELLING_MOTION,
+        changes=changes,
     )
 
 
@@ -143,29 +340,43 @@ def find_sign_change(
     }
 
 
-def _check_scale(fit: TorqueFit, j: int, fits: TorqueFits, robot: Robot) -> Iterator[Finding]:
+def _doubt_scale(
+    fit: TorqueFit, j: int, fits: TorqueFits, robot: Robot, explanations: Explanations | None
+) -> Iterator[Hypothesis]:
+    """Doubt the unit or the torque constant of a torque that the model explains."""
     if fit.r2 < _MIN_R2:
         return
     is_weightless = (
         fit.bears_gravity
-        and fit.gravity.value + _MIN_SIGNIFICANCE * fit.gravity.error < 1.0 / _MAX_SCALE
+        and fit.gravity.value + _SIGNIFICANCE * fit.gravity.error < 1.0 / _MAX_SCALE
     )
     is_huge = (
-        fit.gravity_size > 1e-3 and fit.gravity.value - _MIN_SIGNIFICANCE * fit.gravity.error > 10.0
+        fit.gravity_size > 0.0
+        and fit.gravity.value - _SIGNIFICANCE * fit.gravity.error > _HUGE_SCALE
     )
-    if is_weightless or (abs(fit.gravity.t) > _MIN_SIGNIFICANCE and (fit.bears_gravity or is_huge)):
-        scale = abs(fit.gravity.value)
-        margin = _MIN_SIGNIFICANCE * fit.gravity.error
-        torque_kind = "gravity"
-    else:
-        scale = fit.inertia.value
-        margin = _MIN_SIGNIFICANCE * fit.inertia.error
-        torque_kind = "inertial"
-    is_too_small = scale + margin < 1.0 / _MAX_SCALE
-    is_too_large = torque_kind == "gravity" and scale - margin > _MAX_SCALE
+    by_gravity = is_weightless or (
+        abs(fit.gravity.t) > _SIGNIFICANCE and (fit.bears_gravity or is_huge)
+    )
+    estimate = (
+        Estimate(value=abs(fit.gravity.value), error=fit.gravity.error)
+        if by_gravity
+        else fit.inertia
+    )
     # A rotor may exceed the links many times, but never reduces the inertia.
-    if not (is_too_small or is_too_large) or not np.isfinite(margin):
+    high = _MAX_SCALE if by_gravity else np.inf
+    if 1.0 / _MAX_SCALE <= estimate.value <= high or not np.isfinite(estimate.error):
         return
+    if explanations is not None:
+        spread = explanations.estimate_spread(0 if by_gravity else 1)
+        estimate = Estimate(value=estimate.value, error=max(estimate.error, spread / _SIGNIFICANCE))
+    torque_kind = "gravity" if by_gravity else "inertial"
+    statistic = Statistic(
+        name=f"its {torque_kind} torque over the model's",
+        estimate=estimate,
+        low=1.0 / _MAX_SCALE,
+        high=high,
+    )
+    races = () if explanations is None else _race_scale(explanations, fit, by_gravity=by_gravity)
     description = robot.description
     gravity_scales = [
         abs(other_fit.gravity.value) for other_fit in fits.values() if other_fit.bears_gravity
@@ -173,20 +384,61 @@ def _check_scale(fit: TorqueFit, j: int, fits: TorqueFits, robot: Robot) -> Iter
     is_everywhere = len(gravity_scales) > 1 and all(
         not 1 / _MAX_SCALE <= gravity_scale <= _MAX_SCALE for gravity_scale in gravity_scales
     )
+    scale = estimate.value
     remedy, changes = _explain_scale(description, j, scale, is_everywhere=is_everywhere)
     if (
         scale <= _MAX_WEIGHTLESS_SHARE
         and is_weightless
         and abs(fit.inertia.value) >= 1.0 / _MAX_SCALE
     ):
-        remedy = "gravity was removed from it, a spring or counterweight carries the "
+        remedy = (
+            "gravity was removed from it, a spring or counterweight carries the arm, or the file "
+            "declares another gravity"
+        )
         changes = {}
-        remedy += "arm, or the file declares another gravity"
-    factor_text = f"{max(scale, 0.0):.2g} (+- {margin:.1g}) times"
-    observation = f"its torque is {factor_text} the {torque_kind} torque of the model"
-    yield build_joint_finding(
-        "torque-scale", description.joints[j], observation, remedy, changes=changes
+    factor_text = f"{scale:.2g} (+- {_SIGNIFICANCE * estimate.error:.1g}) times"
+    yield Hypothesis(
+        check="torque-scale",
+        joint=description.joints[j],
+        observation=f"its torque is {factor_text} the {torque_kind} torque of the model",
+        remedy=remedy,
+        trials=(statistic, *races),
+        record="faster motion, and rests in several positions",
+        changes=changes,
     )
+
+
+def _race_scale(
+    explanations: Explanations, fit: TorqueFit, *, by_gravity: bool
+) -> tuple[Race, ...]:
+    """Return the races of a scaled model against the model as it is, and against none."""
+    tau = explanations.tau
+    gravity = explanations.gravity
+    inertial = explanations.inertial
+    friction = explanations.friction
+    if by_gravity:
+        stated_gravity = float(np.sign(fit.gravity.value) or 1.0) * gravity
+        # Rotors may add to the inertia.
+        as_it_is = explanations.predict(
+            tau - stated_gravity - inertial, inertial, friction, non_negative=1
+        )
+        without = explanations.predict(tau, inertial, friction)
+    else:
+        as_it_is = explanations.predict(tau - inertial, inertial, gravity, friction, non_negative=1)
+        without = explanations.predict(tau, gravity, friction)
+    scaled = explanations.predict(tau, gravity, inertial, friction)
+    races = [Race(rival="the model as it is", rival_squares=as_it_is, squares=scaled)]
+    if by_gravity and abs(fit.gravity.value) > _MAX_SCALE:
+        # What follows no model is friction, a spring or a cable, whatever its factor.
+        races.append(
+            Race(
+                rival="friction alone",
+                rival_squares=without,
+                squares=scaled,
+                min_gain=CURE_GAIN,
+            )
+        )
+    return tuple(races)
 
 
 def _explain_scale(
@@ -216,26 +468,29 @@ def _explain_scale(
     return remedy, {}
 
 
-def _check_friction(fits: TorqueFits, robot: Robot) -> Iterator[Finding]:
+def _doubt_friction(fits: TorqueFits, robot: Robot) -> Iterator[Hypothesis]:
+    """Doubt that torques were measured, if the model without friction explains them."""
     explained_fits = {j: fit for j, fit in fits.items() if fit.r2 > _MIN_R2}
     shows_friction = [
-        abs(fit.friction.t) > _MIN_SIGNIFICANCE
-        or fit.residual > _MAX_COMPUTED_RESIDUAL * fit.deviation
+        abs(fit.friction.t) > _SIGNIFICANCE or fit.residual > _MAX_COMPUTED_RESIDUAL * fit.deviation
         for fit in explained_fits.values()
     ]
     if not explained_fits or any(shows_friction):
         return
-    yield Finding(
+    joints = [robot.description.joints[j] for j in explained_fits]
+    yield Hypothesis(
         check="no-friction",
-        severity="warning",
-        joints=tuple(robot.description.joints[j] for j in explained_fits),
-        found="the model's rigid body explains their torques completely, and no part follows the "
-        "velocity",
+        joint=joints[0],
+        further_joints=tuple(joints[1:]),
+        observation="the model's rigid body explains their torques completely, and no part "
+        "follows the velocity",
         remedy="they were computed or commanded instead of measured, or friction was removed",
+        severity="warning",
     )
 
 
-def _check_limits(part: SmoothPart, fits: TorqueFits, robot: Robot) -> Iterator[Finding]:
+def _doubt_peaks(part: SmoothPart, fits: TorqueFits, robot: Robot) -> Iterator[Hypothesis]:
+    """Doubt torques far from the model's limits, or from what the other joints use of theirs."""
     torque_limits = np.where(np.isfinite(robot.torque_limits), robot.torque_limits, 0.0)
     peaks = np.quantile(np.abs(part.tau), 0.99, axis=0)
     shares = {
@@ -246,24 +501,28 @@ def _check_limits(part: SmoothPart, fits: TorqueFits, robot: Robot) -> Iterator[
     for j, share in shares.items():
         joint = robot.description.joints[j]
         if share > _MAX_PEAK_TO_LIMIT:
-            observation = f"its torque reaches {peaks[j]:.3g}, {share:.2g} times the model's limit"
-            yield build_joint_finding(
-                "torque-limit", joint, observation, "its unit or its torque_per_ampere is wrong"
+            yield Hypothesis(
+                check="torque-limit",
+                joint=joint,
+                observation=f"its torque reaches {peaks[j]:.3g}, {share:.2g} times the model's "
+                "limit",
+                remedy="its unit or its torque_per_ampere is wrong",
             )
         other_shares = [other_share for k, other_share in shares.items() if k != j]
         usual_share = np.median(other_shares) if len(other_shares) > 1 else 0.0
         if share * _MIN_RATIO_TO_OTHERS < usual_share and fits[j].r2 > _MIN_R2:
-            observation = (
-                f"its torque reaches {100 * share:.2g} % of the model's limit, the other joints' "
-                f"{100 * usual_share:.2g} %"
+            yield Hypothesis(
+                check="torque-small",
+                joint=joint,
+                observation=f"its torque reaches {100 * share:.2g} % of the model's limit, the "
+                f"other joints' {100 * usual_share:.2g} %",
+                remedy="its unit or its torque_per_ampere may be wrong",
+                severity="warning",
             )
-            remedy = "its unit or its torque_per_ampere may be wrong"
-            yield build_joint_finding("torque-small", joint, observation, remedy, "warning")
 
 
 _SPEED_WINDOW = 0.1  # averaging window of a speed [s]
-_MIN_MOVING_SPEED = 0.05  # speed of a moving joint [rad/s; m/s]
-_MIN_MOVING_TO_RESTING = 2.5  # and of a slow joint, over the speed at which it rests
+_MIN_MOVING_TO_RESTING = 2.5  # speed of a moving joint over the speed at which it rests
 _FINE_LEVELS = 200  # distinct values of a finely quantised signal
 _MAX_HELD_SHARE = 0.3  # share of repeated rows
 _MIN_STUCK_TIME = 0.3
@@ -274,36 +533,36 @@ _MIN_SPIKE_TO_RANGE = 3.0  # torque spike over the range of other rows
 _MAX_SPEED_TO_LIMIT = 1.3  # speed over the limit; drives exceed it slightly
 
 
-def check_raw_signals(log: Log, description: RobotDescription) -> Iterator[Finding]:
-    """Check raw signals for held, stuck and outlying values."""
+def check_raw_signals(log: Log, description: RobotDescription) -> Iterator[Hypothesis]:
+    """Doubt raw signals with held, stuck and outlying values."""
     if len(log.t) < 2 * _MIN_STUCK_ROWS:
         return
     speeds = _compute_speeds(log)
-    resting_speeds = find_resting_speeds([log.t], [log.q], [speeds])
-    min_speeds = np.minimum(_MIN_MOVING_SPEED, _MIN_MOVING_TO_RESTING * resting_speeds)
+    min_speeds = _MIN_MOVING_TO_RESTING * find_resting_speeds([log.t], [log.q], [speeds])
     is_moving = np.abs(speeds) > min_speeds
     is_fine = np.array([len(np.unique(column)) > _FINE_LEVELS for column in log.tau.T])
-    yield from _check_repeated_rows(log, is_moving, is_fine)
+    yield from _doubt_repeated_rows(log, is_moving, is_fine)
     for j, joint in enumerate(description.joints):
         if log.dq is not None:
             row = _find_constant_run(log, log.q[:, j], np.abs(log.dq[:, j]) > min_speeds[j])
             if row is not None:
-                yield _report_stuck(log, joint, "position", row, "its velocity is not zero")
+                yield _doubt_sensor(log, joint, "position", row, "its velocity is not zero")
         tau = log.tau[:, j]
         row = _find_constant_run(log, tau, is_moving[:, j]) if is_fine[j] else None
         if row is not None and abs(tau[row]) < np.max(np.abs(tau)):
-            yield _report_stuck(log, joint, "torque", row, "it moves")
-        lowest, highest = np.quantile(log.tau[:, j], [0.01, 0.99])
-        neighbour_mean = 0.5 * (log.tau[:-2, j] + log.tau[2:, j])
-        excursion = np.abs(log.tau[1:-1, j] - neighbour_mean)
-        is_single = np.abs(log.tau[2:, j] - log.tau[:-2, j]) < 0.2 * excursion
+            yield _doubt_sensor(log, joint, "torque", row, "it moves")
+        lowest, highest = np.quantile(tau, [0.01, 0.99])
+        neighbour_mean = 0.5 * (tau[:-2] + tau[2:])
+        excursion = np.abs(tau[1:-1] - neighbour_mean)
+        is_single = np.abs(tau[2:] - tau[:-2]) < 0.2 * excursion
         k = int(np.argmax(np.where(is_single, excursion, 0.0)))
         if is_single[k] and excursion[k] > _MIN_SPIKE_TO_RANGE * (highest - lowest) > 0.0:
-            observation = (
-                f"its torque is {excursion[k]:.3g} off in a single row, at t = {log.t[k + 1]:.4g} s"
-            )
-            yield build_joint_finding(
-                "torque-spikes", joint, observation, "that row is wrong; leave it out"
+            yield Hypothesis(
+                check="torque-spikes",
+                joint=joint,
+                observation=f"its torque is {excursion[k]:.3g} off in a single row, at t = "
+                f"{log.t[k + 1]:.4g} s",
+                remedy="that row is wrong; leave it out",
             )
 
 
@@ -318,7 +577,7 @@ def _compute_speeds(log: Log) -> Array:
     )
 
 
-def _check_repeated_rows(log: Log, is_moving: Mask, is_fine: Mask) -> Iterator[Finding]:
+def _doubt_repeated_rows(log: Log, is_moving: Mask, is_fine: Mask) -> Iterator[Hypothesis]:
     if not np.any(is_fine):
         return
     is_in_motion = np.any(is_moving[1:], axis=1)
@@ -327,11 +586,14 @@ def _check_repeated_rows(log: Log, is_moving: Mask, is_fine: Mask) -> Iterator[F
     is_repeated = np.all(np.diff(log.tau[:, is_fine], axis=0) == 0.0, axis=1)
     share = float(np.mean(is_repeated[is_in_motion]))
     if share > _MAX_HELD_SHARE:
-        observation = (
-            f"{100 * share:.0f} % of the rows in motion repeat the torques of the row before"
+        yield Hypothesis(
+            check="held-samples",
+            joint="",
+            observation=f"{100 * share:.0f} % of the rows in motion repeat the torques of the row "
+            "before",
+            remedy="the log is faster than the robot's data; log at the robot's own rate",
+            severity="warning",
         )
-        remedy = "the log is faster than the robot's data; log at the robot's own rate"
-        yield build_joint_finding("held-samples", "", observation, remedy, "warning")
 
 
 def _find_constant_run(log: Log, signal: Array, is_moving: Mask) -> int | None:
@@ -353,23 +615,31 @@ def _find_constant_run(log: Log, signal: Array, is_moving: Mask) -> int | None:
     )
 
 
-def _report_stuck(log: Log, joint: str, quantity: str, row: int, contradiction: str) -> Finding:
-    observation = f"its {quantity} is constant from t = {log.t[row]:.4g} s, while {contradiction}"
-    remedy = "the sensor or its connection failed there; cut these rows out"
-    return build_joint_finding("stuck", joint, observation, remedy)
+def _doubt_sensor(log: Log, joint: str, quantity: str, row: int, contradiction: str) -> Hypothesis:
+    return Hypothesis(
+        check="stuck",
+        joint=joint,
+        observation=f"its {quantity} is constant from t = {log.t[row]:.4g} s, while "
+        f"{contradiction}",
+        remedy="the sensor or its connection failed there; cut these rows out",
+    )
 
 
-def check_speed(part: SmoothPart, robot: Robot) -> Iterator[Finding]:
-    """Check speeds against the model's limits."""
+def check_speed(part: SmoothPart, robot: Robot) -> Iterator[Hypothesis]:
+    """Doubt speeds beyond the model's limits."""
     speed_limits = np.where(np.isfinite(robot.limits[2]), robot.limits[2], 0.0)
     peak_speeds = np.quantile(np.abs(part.v), 0.998, axis=0)
     for j in np.flatnonzero(part.is_moving & (speed_limits > 0.0)):
-        if peak_speeds[j] <= _MAX_SPEED_TO_LIMIT * speed_limits[j]:
+        ratio = float(peak_speeds[j] / speed_limits[j])
+        if ratio <= _MAX_SPEED_TO_LIMIT:
             continue
-        unit = "m/s" if robot.slides[j] else "rad/s"
-        ratio_text = f"{peak_speeds[j] / speed_limits[j]:.2g} times the model's limit"
-        observation = f"it reaches {peak_speeds[j]:.3g} {unit}, {ratio_text}"
-        remedy = "the time stamps come from a wrong sample rate, a unit is wrong, or the model's "
-        yield build_joint_finding(
-            "speed-limit", robot.joints[j], observation, f"{remedy}limits are", "warning"
+        unit = unit_of_joint("rad/s", is_prismatic=robot.slides[j])
+        yield Hypothesis(
+            check="speed-limit",
+            joint=robot.joints[j],
+            observation=f"it reaches {peak_speeds[j]:.3g} {unit}, {ratio:.2g} times the model's "
+            "limit",
+            remedy="the time stamps come from a wrong sample rate, a unit is wrong, or the model's "
+            "limits are",
+            severity="warning",
         )

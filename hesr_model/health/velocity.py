@@ -5,106 +5,207 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hesr_model.findings import Finding, Severity, build_joint_finding
+from hesr_model.findings import Severity
 from hesr_model.health.evidence import SmoothPart
-from hesr_model.inference.covariance import standard_errors
+from hesr_model.health.positions import is_plausible_period
+from hesr_model.health.referee import (
+    CURE_GAIN,
+    Estimate,
+    Hypothesis,
+    LeftOutRows,
+    Race,
+    Statistic,
+)
+from hesr_model.inference.covariance import correlation_length
 from hesr_model.logs.log_format import LogUnits, column_names
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.arrays import Array, Integers
 from hesr_model.units import COMMON_UNITS, REVOLUTE_UNITS, reverse_unit
 
-_MIN_CORRELATION = 0.9  # correlation of a velocity with its position
-_MIN_SIGNIFICANCE = 5.0  # significance threshold in standard errors
-_MIN_SCALE_ERROR = 0.1
-_MIN_SCALE_WARNING = 0.03  # scale errors that are an error and a warning
+_MIN_CORRELATION = 0.9  # of a velocity with its position
+_MAX_SCALE_ERROR = 0.1  # of a velocity, above which it is an error
+_MAX_SCALE_WARNING = 0.03
 _FACTOR_TOLERANCE = 0.04  # tolerance for the factor of a unit
-_MIN_REPORTED_LAG = 0.02  # reporting threshold for the lag [s]
+_MIN_LAG_TO_SETTLING = 0.3  # lag of a velocity over the time that the low pass needs to settle
+_MIN_LAG_TO_PERIOD = 2.0
 _MAX_LAG = 0.3  # largest lag searched [s]
 _MAX_ARM_TRAVEL = 4.0 * np.pi  # largest travel of an arm's joint [rad]
+_MAX_RATE_FACTOR = 5.0  # of a wrong sample rate; beyond, a gear is as likely
+_BLOCKS = 20  # of time, left out in turn
 _DERIVE_REMEDY = 'set [log.columns] dq = "" to derive it from the position'
+_TELLING_MOTION = "motion that reverses, at several speeds"
 
 
 @dataclass(frozen=True, kw_only=True)
 class VelocityMatch:
-    """Regression of a joint's differentiated position on its velocity; lag in [s]."""
+    """Regression of a joint's differentiated position on its velocity.
+
+    Attributes
+    ----------
+    slope, error : change of the position over that of the velocity, and its standard error.
+    correlation : between both, without the white noise of either.
+    mismatch : share of the squared derivative that the velocity does not explain.
+    lag, lag_error : of the velocity [s]; the error is infinite if no lag can be told.
+    """
 
     slope: float
     error: float
     correlation: float
+    mismatch: Estimate
     lag: float
+    lag_error: float
 
 
-def match_velocity(v: Array, dq: Array, period: float) -> VelocityMatch:
-    """Compare a derivative `v` with `dq` (N,), `period` [s] apart."""
-    correlation = _compute_correlation(v, dq)
-    slope = float(np.std(v)) / max(float(np.std(dq)), 1e-300) * (-1.0 if correlation < 0 else 1.0)
-    error = float(standard_errors(dq[:, None], v - slope * dq)[0]) if np.any(dq) else np.inf
+def match_velocity(
+    v: Array, dq: Array, period: float, noise: tuple[float, float] = (0.0, 0.0)
+) -> VelocityMatch:
+    """Compare a derivative `v` with `dq` (N,), `period` [s] apart, whose `noise` is known.
+
+    At a constant speed deviations from the mean are noise, and only a slope through the origin
+    tells; a velocity with an offset has the slope of its deviations. Whichever is more certain is
+    the slope, and the better explanation the correlation.
+    """
+    comparisons = [
+        _compare_moments(v - v_mean, dq - dq_mean, noise)
+        for v_mean, dq_mean in ((np.mean(v), np.mean(dq)), (0.0, 0.0))
+    ]
+    slope = min((slope for slope, _ in comparisons), key=lambda slope: slope.error)
+    correlation = max((correlation for _, correlation in comparisons), key=lambda c: abs(c.value))
+    mismatch = Estimate(
+        value=1.0 - correlation.value**2, error=2.0 * abs(correlation.value) * correlation.error
+    )
+    lag = _find_lag(v, dq, period)
+    sign = -1.0 if correlation.value < 0.0 else 1.0
     return VelocityMatch(
-        slope=slope, error=error, correlation=correlation, lag=_find_lag(v, dq, period)
+        slope=sign * slope.value,
+        error=slope.error,
+        correlation=correlation.value,
+        mismatch=mismatch,
+        lag=lag.value,
+        lag_error=lag.error,
     )
 
 
+def _compare_moments(v: Array, dq: Array, noise: tuple[float, float]) -> tuple[Estimate, Estimate]:
+    """Return the ratio of the sizes of two signals (N,), and their correlation.
+
+    Their errors are those of the jackknife over blocks of time. White noise of either signal is
+    taken out of its square.
+    """
+    count = min(_BLOCKS, len(v))
+    edges = np.linspace(0, len(v), count + 1).astype(int)[:-1]
+    moments = np.column_stack(
+        [
+            np.add.reduceat(v**2 - noise[0] ** 2, edges),
+            np.add.reduceat(dq**2 - noise[1] ** 2, edges),
+            np.add.reduceat(v * dq, edges),
+        ]
+    )
+    total = moments.sum(axis=0)
+    v_squares, dq_squares, products = np.vstack([total, total - moments]).T
+    if np.min(v_squares) <= 0.0 or np.min(dq_squares) <= 0.0:
+        # Nothing but noise: no ratio can be told.
+        return Estimate(value=1.0, error=np.inf), Estimate(value=0.0, error=0.0)
+    ratios = np.sqrt(v_squares / dq_squares)
+    correlations = np.clip(products / np.sqrt(v_squares * dq_squares), -1.0, 1.0)
+    return _estimate_by_jackknife(ratios), _estimate_by_jackknife(correlations)
+
+
+def _estimate_by_jackknife(values: Array) -> Estimate:
+    """Return the first value, of all blocks, with the error from those without one block each."""
+    others = values[1:]
+    count = len(others)
+    scatter = float(np.sum((others - others.mean()) ** 2))
+    return Estimate(value=float(values[0]), error=float(np.sqrt(scatter * (count - 1) / count)))
+
+
 def _compute_correlation(a: Array, b: Array) -> float:
-    return 0.0 if np.std(a) < 1e-12 or np.std(b) < 1e-12 else float(np.corrcoef(a, b)[0, 1])
+    return 0.0 if not (np.std(a) > 0.0 and np.std(b) > 0.0) else float(np.corrcoef(a, b)[0, 1])
 
 
-def _find_lag(v: Array, dq: Array, period: float) -> float:
-    """Return the lag of dq [s], at the peak of the cross-correlation."""
+def _find_lag(v: Array, dq: Array, period: float) -> Estimate:
+    """Return the lag of dq [s], at the peak of the cross-correlation.
+
+    Its error follows from the curvature of the likelihood there; at a constant speed it is flat.
+    """
     max_shift = min(int(_MAX_LAG / period), len(v) // 4)
-    if max_shift < 1 or np.std(v) < 1e-12 or np.std(dq) < 1e-12:
-        return 0.0
+    unknown_lag = Estimate(value=0.0, error=np.inf)
+    if max_shift < 1 or not (np.std(v) > 0.0 and np.std(dq) > 0.0):
+        return unknown_lag
     inner_v = v[max_shift:-max_shift]
     shifts = np.arange(-max_shift, max_shift + 1)
-    correlations = [
-        abs(_compute_correlation(inner_v, dq[max_shift + k : len(dq) - max_shift + k]))
-        for k in shifts
-    ]
-    return float(shifts[int(np.argmax(correlations))] * period)
+    correlations = np.array(
+        [
+            abs(_compute_correlation(inner_v, dq[max_shift + k : len(dq) - max_shift + k]))
+            for k in shifts
+        ]
+    )
+    best = int(np.argmax(correlations))
+    lag = float(shifts[best] * period)
+    if best in (0, len(shifts) - 1):
+        return Estimate(value=lag, error=np.inf)
+    shift = int(shifts[best])
+    shifted_dq = dq[max_shift + shift : len(dq) - max_shift + shift]
+    line = np.polyfit(shifted_dq, inner_v, 1)
+    residual = inner_v - np.polyval(line, shifted_dq)
+    independent_rows = len(residual) / correlation_length(residual)
+    unexplained = np.maximum(1.0 - correlations[best - 1 : best + 2] ** 2, 1e-12)
+    before, at, after = 0.5 * independent_rows * np.log(unexplained)
+    curvature = before - 2.0 * at + after
+    error = period / np.sqrt(curvature) if curvature > 0.0 else np.inf
+    return Estimate(value=lag, error=float(error))
 
 
 def check_velocity(
     part: SmoothPart, description: RobotDescription, excluded_joints: Collection[str] = ()
-) -> Iterator[Finding]:
-    """Check velocities, but for resting joints and those in `excluded_joints`."""
+) -> Iterator[Hypothesis]:
+    """Doubt velocities, but for resting joints and those in `excluded_joints`."""
     if part.dq is None:
         return
-    dq = part.dq
+    rows = part.is_measured
+    v = part.v[rows]
+    dq = part.dq[rows]
+    left_out = LeftOutRows.split([part.log.name], [part.t[rows]])
+    v_noise, dq_noise = part.estimate_speed_noise()
     joints = np.array(
         [j for j in np.flatnonzero(part.is_moving) if description.joints[j] not in excluded_joints]
     )
-    matches = {int(j): match_velocity(part.v[:, j], dq[:, j], part.period) for j in joints}
-    column_of_joint = _match_columns(part, joints)
-    changes = {"log.columns.dq": ""}
-    for j, fit in matches.items():
+    matches = {
+        int(j): match_velocity(
+            v[:, j], dq[:, j], part.period, (float(v_noise[j]), float(dq_noise[j]))
+        )
+        for j in joints
+    }
+    column_of_joint = _match_columns(v, dq, joints)
+    for j, match in matches.items():
         joint = description.joints[j]
-        if np.ptp(dq[:, j]) < 1e-9:
-            observation = "its position moves while its velocity never changes"
-            remedy = f"the velocity is not logged; {_DERIVE_REMEDY}"
-            yield build_joint_finding(
-                "velocity-constant", joint, observation, remedy, changes=changes
+        mismatch = Statistic(
+            name="the share of its motion that its velocity does not explain",
+            estimate=match.mismatch,
+            high=1.0 - _MIN_CORRELATION**2,
+            errors=1.0,
+        )
+        if mismatch.outcome == "lost":
+            yield from _doubt_sign(description, j, matches, v, dq)
+            yield from _doubt_scale(description, j, matches, part, v, dq)
+            yield from _doubt_lag(joint, j, match, part, v, dq, left_out)
+        elif np.ptp(dq[:, j]) <= 1e-9 * np.max(np.abs(v[:, j])):
+            yield Hypothesis(
+                check="velocity-constant",
+                joint=joint,
+                observation="its position moves while its velocity never changes",
+                remedy=f"the velocity is not logged; {_DERIVE_REMEDY}",
+                changes={"log.columns.dq": ""},
             )
-        elif abs(fit.correlation) < _MIN_CORRELATION:
-            yield _report_mismatch(description, j, fit, column_of_joint)
         else:
-            yield from _check_scale(description, j, matches, part)
-            if abs(fit.lag) > max(_MIN_REPORTED_LAG, 2.0 * part.period):
-                direction = "late" if fit.lag > 0 else "early"
-                observation = (
-                    f"its velocity is {abs(fit.lag) * 1e3:.0f} ms {direction} relative to its "
-                    "position"
-                )
-                remedy = f"it was filtered or comes from another clock; {_DERIVE_REMEDY}"
-                yield build_joint_finding(
-                    "velocity-lag", joint, observation, remedy, "warning", changes=changes
-                )
+            yield _doubt_column(description, j, match, mismatch, column_of_joint, v, dq, left_out)
 
 
-def _match_columns(part: SmoothPart, joints: Integers) -> dict[int, int]:
+def _match_columns(v: Array, dq: Array, joints: Integers) -> dict[int, int]:
     from scipy.optimize import linear_sum_assignment
 
-    assert part.dq is not None
     correlations = np.array(
-        [[abs(_compute_correlation(part.v[:, j], part.dq[:, k])) for k in joints] for j in joints]
+        [[abs(_compute_correlation(v[:, j], dq[:, k])) for k in joints] for j in joints]
     )
     if not correlations.size:
         return {}
@@ -116,62 +217,174 @@ def _match_columns(part: SmoothPart, joints: Integers) -> dict[int, int]:
     }
 
 
-def _report_mismatch(
-    description: RobotDescription, j: int, fit: VelocityMatch, column_of_joint: dict[int, int]
-) -> Finding:
+def _doubt_column(
+    description: RobotDescription,
+    j: int,
+    match: VelocityMatch,
+    mismatch: Statistic,
+    column_of_joint: dict[int, int],
+    v: Array,
+    dq: Array,
+    left_out: LeftOutRows,
+) -> Hypothesis:
+    """Doubt that a column holds the velocity of a joint; another joint's column may."""
     joint = description.joints[j]
     other_joint = column_of_joint.get(j, j)
-    observation = f"its velocity does not follow its position (correlation {fit.correlation:.2f})"
+    observation = f"its velocity does not follow its position (correlation {match.correlation:.2f})"
     if other_joint != j:
         columns = column_names(description.log.columns.dq, description.joints)
         ordered_columns = [columns[column_of_joint.get(k, k)] for k in range(len(columns))]
         quoted_columns = ", ".join(f'"{column}"' for column in ordered_columns)
-        explanation = (
-            f"its velocity is in the column of joint '{description.joints[other_joint]}'; set "
+        own_squares, other_squares = (
+            left_out.predict(dq[:, [column]], v[:, j]) ** 2 for column in (j, other_joint)
         )
-        remedy = f"{explanation}[log.columns] dq = [{quoted_columns}]"
-        changes = {"log.columns.dq": tuple(ordered_columns)}
-        return build_joint_finding("velocity-columns", joint, observation, remedy, changes=changes)
-    lag_remark = f", and is {fit.lag * 1e3:.0f} ms late" if abs(fit.lag) > _MIN_REPORTED_LAG else ""
-    remedy = f"the column contains another signal or a filtered one; {_DERIVE_REMEDY}"
-    return build_joint_finding(
-        "velocity-match", joint, observation + lag_remark, remedy, changes={"log.columns.dq": ""}
+        return Hypothesis(
+            check="velocity-columns",
+            joint=joint,
+            observation=observation,
+            remedy=f"its velocity is in the column of joint '{description.joints[other_joint]}'; "
+            f"set [log.columns] dq = [{quoted_columns}]",
+            trials=(
+                mismatch,
+                Race(
+                    rival="its own column",
+                    rival_squares=own_squares,
+                    squares=other_squares,
+                    min_gain=CURE_GAIN,
+                ),
+            ),
+            record=_TELLING_MOTION,
+            changes={"log.columns.dq": tuple(ordered_columns)},
+        )
+    is_late = abs(match.lag) > _MIN_LAG_TO_PERIOD * match.lag_error
+    lag_remark = f", and is {match.lag * 1e3:.0f} ms late" if is_late else ""
+    return Hypothesis(
+        check="velocity-match",
+        joint=joint,
+        observation=observation + lag_remark,
+        remedy=f"the column contains another signal or a filtered one; {_DERIVE_REMEDY}",
+        trials=(mismatch,),
+        record=_TELLING_MOTION,
+        changes={"log.columns.dq": ""},
     )
 
 
-def _check_scale(
-    description: RobotDescription, j: int, matches: dict[int, VelocityMatch], part: SmoothPart
-) -> Iterator[Finding]:
-    fit = matches[j]
-    joint = description.joints[j]
-    if fit.slope < 0:
-        declared_units = enumerate(
-            description.log.units.expand_per_joint("dq", len(description.joints))
-        )
-        opposite_joints = {
-            k for k, other in matches.items() if other.correlation < -_MIN_CORRELATION
-        }
-        units = [reverse_unit(unit) if k in opposite_joints else unit for k, unit in declared_units]
-        observation = f"its position falls where its velocity is positive (slope {fit.slope:.2f})"
-        remedy = (
-            f"velocity or position counts backwards; set [log.units] dq = {join_units(units)}, "
-            "or q accordingly"
-        )
-        yield build_joint_finding(
-            "velocity-sign", joint, observation, remedy, changes={"log.units.dq": tuple(units)}
-        )
-    ratio = abs(fit.slope)
-    if (
-        not abs(ratio - 1.0) > _MIN_SIGNIFICANCE * fit.error
-        or abs(np.log(ratio)) < _MIN_SCALE_WARNING
-    ):
+def _doubt_lag(
+    joint: str,
+    j: int,
+    match: VelocityMatch,
+    part: SmoothPart,
+    v: Array,
+    dq: Array,
+    left_out: LeftOutRows,
+) -> Iterator[Hypothesis]:
+    """Doubt that a velocity is as early as its position."""
+    resolution = max(_MIN_LAG_TO_SETTLING * part.settling, _MIN_LAG_TO_PERIOD * part.period)
+    if abs(match.lag) <= resolution:
+        return
+    shift = round(match.lag / part.period)
+    late_dq = np.roll(dq[:, j], -shift)
+    ones = np.ones(len(v))
+    is_inside = np.ones(len(v), dtype=bool)
+    is_inside[-shift if shift > 0 else 0 : None if shift > 0 else -shift] = False
+    rival_squares, squares = (
+        left_out.predict(np.column_stack([column, ones]), v[:, j])[is_inside] ** 2
+        for column in (dq[:, j], late_dq)
+    )
+    direction = "late" if match.lag > 0 else "early"
+    yield Hypothesis(
+        check="velocity-lag",
+        joint=joint,
+        observation=f"its velocity is {abs(match.lag) * 1e3:.0f} ms {direction} relative to its "
+        "position",
+        remedy=f"it was filtered or comes from another clock; {_DERIVE_REMEDY}",
+        severity="warning",
+        trials=(
+            Statistic(
+                name="its lag over the shortest that can be told",
+                estimate=Estimate(
+                    value=abs(match.lag) / resolution, error=match.lag_error / resolution
+                ),
+                high=1.0,
+                errors=1.0,
+            ),
+            Race(rival="no lag", rival_squares=rival_squares, squares=squares),
+        ),
+        record=_TELLING_MOTION,
+        changes={"log.columns.dq": ""},
+    )
+
+
+def _doubt_sign(
+    description: RobotDescription, j: int, matches: dict[int, VelocityMatch], v: Array, dq: Array
+) -> Iterator[Hypothesis]:
+    """Doubt that a velocity and its position count in the same direction."""
+    match = matches[j]
+    if match.slope > 0.0:
+        return
+    declared_units = enumerate(
+        description.log.units.expand_per_joint("dq", len(description.joints))
+    )
+    opposite_joints = {k for k, other in matches.items() if other.correlation < -_MIN_CORRELATION}
+    units = [reverse_unit(unit) if k in opposite_joints else unit for k, unit in declared_units]
+    scale = abs(match.slope)
+    yield Hypothesis(
+        check="velocity-sign",
+        joint=description.joints[j],
+        observation=f"its position falls where its velocity is positive (slope {match.slope:.2f})",
+        remedy=f"velocity or position counts backwards; set [log.units] dq = {join_units(units)}, "
+        "or q accordingly",
+        trials=(
+            Race(
+                rival="its sign as it is",
+                rival_squares=(v[:, j] - scale * dq[:, j]) ** 2,
+                squares=(v[:, j] + scale * dq[:, j]) ** 2,
+                min_gain=CURE_GAIN,
+            ),
+        ),
+        record=_TELLING_MOTION,
+        changes={"log.units.dq": tuple(units)},
+    )
+
+
+def _doubt_scale(
+    description: RobotDescription,
+    j: int,
+    matches: dict[int, VelocityMatch],
+    part: SmoothPart,
+    v: Array,
+    dq: Array,
+) -> Iterator[Hypothesis]:
+    """Doubt that a velocity and its position have the units that the file states."""
+    match = matches[j]
+    ratio = abs(match.slope)
+    if abs(np.log(ratio)) < _MAX_SCALE_WARNING:
         return
     cause, changes = _find_cause(description, j, matches, part)
     ratio_text = f"{ratio:.3g} times faster" if ratio > 1 else f"{1 / ratio:.3g} times slower"
-    severity: Severity = "error" if abs(np.log(ratio)) > _MIN_SCALE_ERROR else "warning"
-    observation = f"q changes {ratio_text} than dq"
-    yield build_joint_finding(
-        "velocity-scale", joint, observation, cause, severity, changes=changes
+    severity: Severity = "error" if abs(np.log(ratio)) > _MAX_SCALE_ERROR else "warning"
+    sign = float(np.sign(match.slope))
+    yield Hypothesis(
+        check="velocity-scale",
+        joint=description.joints[j],
+        observation=f"q changes {ratio_text} than dq",
+        remedy=cause,
+        severity=severity,
+        trials=(
+            Statistic(
+                name="the ratio of both",
+                estimate=Estimate(value=ratio, error=match.error),
+                low=1.0,
+                high=1.0,
+            ),
+            Race(
+                rival="its unit as it is",
+                rival_squares=(v[:, j] - sign * dq[:, j]) ** 2,
+                squares=(v[:, j] - match.slope * dq[:, j]) ** 2,
+            ),
+        ),
+        record=_TELLING_MOTION,
+        changes=changes,
     )
 
 
@@ -212,15 +425,32 @@ def _find_cause(
             return remedy, {f"log.units.{quantity}": tuple(joint_units)}
     if are_alike:
         ratio = float(np.median([abs(other.slope) for other in matches.values()]))
+        stated_factor = float(units.factors("t", 1)[0])
         for unit, factor in COMMON_UNITS["t"].items():
-            if abs(np.log(ratio * units.factors("t", 1)[0] / factor)) < _FACTOR_TOLERANCE:
+            if abs(np.log(ratio * stated_factor / factor)) < _FACTOR_TOLERANCE and (
+                is_plausible_period(part.log.period * factor / stated_factor)
+            ):
                 return f"time is in {unit}; set [log.units] t = '{unit}'", {"log.units.t": unit}
-        return (
-            f"all joints agree: time stamps run {1 / ratio:.2g} times as fast as time (wrong "
-            "sample rate), or the unit of dq is wrong",
-            {"log.units.t": float(units.factors("t", 1)[0]) * ratio},
-        )
-    return "units, a gear ratio or the signal itself are wrong; see [log.units]", {}
+        if max(ratio, 1.0 / ratio) < _MAX_RATE_FACTOR:
+            return (
+                f"all joints agree: time stamps run {1 / ratio:.2g} times as fast as time (wrong "
+                "sample rate), or the unit of dq is wrong",
+                {"log.units.t": stated_factor * ratio},
+            )
+    return _describe_gear(ratio), {}
+
+
+def _describe_gear(ratio: float) -> str:
+    """Return what may be wrong with a velocity, which a gear before the joint could explain."""
+    for unit, factor in REVOLUTE_UNITS["dq"].items():
+        gear_ratio = 1.0 / (ratio * abs(factor))
+        whole_ratio = round(gear_ratio)
+        if whole_ratio > 1 and abs(np.log(gear_ratio / whole_ratio)) < _FACTOR_TOLERANCE / 4.0:
+            return (
+                f"units, a gear ratio or the signal itself are wrong; {whole_ratio} turns of the "
+                f"motor per turn of the joint, in {unit}, would explain it"
+            )
+    return "units, a gear ratio or the signal itself are wrong; see [log.units]"
 
 
 def _find_units(

@@ -78,6 +78,18 @@ def find_travelling(q: Sequence[Array]) -> Mask:
     return np.asarray((travel > MIN_TRAVEL) | (exceeds_noise & exceeds_wobble))
 
 
+def moves_both_ways(q: Array) -> bool:
+    """Return whether an unsmoothed position (N,) [rad, m] rises and falls beyond its noise.
+
+    A low pass continues a motion beyond its first and last rows by a guess, and the derivative of
+    a guess may reverse where nothing was measured.
+    """
+    rise = float(np.max(q - np.minimum.accumulate(q)))
+    fall = float(np.max(np.maximum.accumulate(q) - q))
+    noise = float(_estimate_position_noise([q[:, None]])[0])
+    return min(rise, fall) > _MIN_TRAVEL_TO_NOISE * noise
+
+
 def _estimate_position_noise(q: Sequence[Array]) -> Array:
     """Return the standard deviation (n,) of white noise in positions, at least a resolution.
 

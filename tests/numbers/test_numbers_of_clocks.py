@@ -13,11 +13,12 @@ from hesr_model.health.evidence import (
     smooth_parts,
 )
 from hesr_model.health.examine import add_log_name
+from hesr_model.health.referee import state
 from hesr_model.health.timing import (
     LagRows,
     _compute_friction_shapes,
+    _doubt_rate,
     _project_out,
-    _report_wrong_rate,
     check_clocks,
     estimate_delays,
     estimate_stamp_rate,
@@ -64,7 +65,7 @@ def test_clocks(
         return part_of(replace(log, tau=tau))
 
     def told(own: SmoothPart, joints: list[int] = every) -> list[str]:
-        return said(add_log_name(own.log, check_clocks(own, joints, arm_model)[0]))
+        return said(state(add_log_name(own.log, check_clocks(own, joints, arm_model)[0])))
 
     def slowed(rate: float) -> SmoothPart:
         own = replace(log, t=rate * log.t, dq=None)
@@ -111,7 +112,7 @@ def test_clocks(
             "slowed": told(slowed(1.5)),
             "hurried": told(slowed(0.6)),
             "hardly slowed": told(slowed(1.2)),
-            "rates": said(add_log_name(log, [_report_wrong_rate(x) for x in (0.5, 1.7)])),
+            "rates": said(state(add_log_name(log, [_doubt_rate(x, 36.0) for x in (0.5, 1.7)]))),
         }
     )  # fmt: skip
 

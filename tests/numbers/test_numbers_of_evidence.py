@@ -10,7 +10,6 @@ from pytest_regressions.data_regression import DataRegressionFixture
 from unchanged import Unchanged
 
 from hesr_model.health.evidence import (
-    Estimate,
     ModelTorques,
     SmoothPart,
     fit_joint_torque,
@@ -20,6 +19,7 @@ from hesr_model.health.evidence import (
 )
 from hesr_model.health.examine import add_log_name
 from hesr_model.health.positions import _estimate_sliding_torque, check_loss
+from hesr_model.health.referee import Estimate, state
 from hesr_model.health.torque import fit_joint_torques
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
@@ -127,7 +127,7 @@ def test_cost_of_lost_rows(
     def told(own: Log) -> list[str]:
         part = part_of(own)
         torques = ModelTorques.from_motion(arm_model, part.q, part.v, part.a)
-        return said(add_log_name(part.log, check_loss(part, torques, arm_model)))
+        return said(state(add_log_name(part.log, check_loss(part, torques, arm_model))))
 
     part = part_of(lost(0.3, 1.0))
     torques = ModelTorques.from_motion(arm_model, part.q, part.v, part.a)

@@ -8,7 +8,7 @@ import pytest
 from faulty_logs import SOUND_TORQUE, two_joints, with_units
 
 from hesr_model.findings import Finding
-from hesr_model.health.evidence import Estimate, TorqueFit
+from hesr_model.health.evidence import TorqueFit
 from hesr_model.health.examine import (
     HealthError,
     _remove_followers,
@@ -22,6 +22,7 @@ from hesr_model.health.examine import (
 )
 from hesr_model.health.joints import apply_changes
 from hesr_model.health.proposal import _estimate_constants, _limit_cutoff, _merge_changes
+from hesr_model.health.referee import Estimate
 from hesr_model.health.torque import find_sign_change
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.robots.robot import Robot, RobotDescription
