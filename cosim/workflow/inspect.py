@@ -72,6 +72,7 @@ class Inspection(Answer):
         """Return what is fixed, still open and guessed, then files and the next command."""
         lines = [f"Fixed by the proposed robot file: {finding.sentence}" for finding in self.fixed]
         lines += finding_lines(self.findings)
+        lines += [f"open: {finding.sentence}" for finding in self.proposal.examination.undecided]
         if not self.proposal.first_findings:
             lines.append("Nothing wrong or unusual was found.")
         lines += [f"proposed: {key}: {text}" for key, text in self.proposal.reasons.items()]
@@ -109,12 +110,13 @@ class Inspection(Answer):
         ]
 
     def result(self) -> Any:
-        """Return findings before and after the proposal, its reasons and torque constants."""
+        """Return findings before and after the proposal, what is undecided, reasons, constants."""
         from hesr_model.support.typed_files import to_json
 
         return {
             "given": [to_json(finding) for finding in self.proposal.first_findings],
             "proposed": [to_json(finding) for finding in self.findings],
+            "undecided": [to_json(finding) for finding in self.proposal.examination.undecided],
             "reasons": dict(self.proposal.reasons),
             "torque_constants": [
                 to_json(constant) for constant in self.constants if constant.determined

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hesr_model.errors import ConfigError, FitError, LogError
-from hesr_model.findings import Finding, build_joint_finding, sort_by_severity
+from hesr_model.findings import Finding, sort_by_severity
 from hesr_model.fitting.estimator import select_laws
 from hesr_model.friction.model import FrictionModel
 from hesr_model.health import positions
@@ -21,17 +21,19 @@ from hesr_model.health.evidence import (
     to_logged_side,
 )
 from hesr_model.health.mistakes import check_causes
-from hesr_model.health.referee import Hypothesis, judge, state
+from hesr_model.health.referee import Estimate, Hypothesis, Statistic, judge, state
 from hesr_model.health.timing import check_clocks
 from hesr_model.health.torque import NO_SIGNAL_R2, TorqueFits, check_torque, fit_joint_torques
 from hesr_model.health.velocity import check_velocity
 from hesr_model.laws.lugre import STATIC_RATIO_BOUNDS
+from hesr_model.logs.rest import moves_both_ways
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion, moving, reversals
 from hesr_model.rigid_body.identification import RigidBody, identify_motions
 from hesr_model.rigid_body.residual import FrictionRecord, transform_all_records
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.arrays import Array
+from hesr_model.units import unit_of_joint
 
 CHECKS = (
     *("time-unit", "gaps", "missing-rows", "dropped-rows", "wrap", "spikes", "coarse", "limits"),
@@ -87,6 +89,7 @@ def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | N
             hypotheses += add_log_name(part.log, positions.check_sliding(part, robot))
             hypotheses += add_log_name(part.log, efforts.check_speed(part, robot))
         hypotheses += add_log_name(part.log, positions.check_columns(part, description))
+    hypotheses += _doubt_direction(parts, description)
     judgement = judge(hypotheses)
     findings = list(judgement.findings)
     undecided = list(judgement.undecided)
@@ -130,6 +133,25 @@ def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | N
         fits=tuple(fits_by_part),
         undecided=tuple(merge_findings(undecided)),
     )
+
+
+def _doubt_direction(
+    parts: Sequence[SmoothPart], description: RobotDescription
+) -> Iterator[Hypothesis]:
+    """Doubt that joints which never reverse show friction, by measured rows only."""
+    for j, joint in enumerate(description.joints):
+        moving_parts = [part for part in parts if part.is_moving[j]]
+        if not moving_parts or any(moves_both_ways(part.log.q[:, j]) for part in moving_parts):
+            continue
+        yield Hypothesis(
+            check="one-way",
+            joint=joint,
+            observation="its torque is friction",
+            remedy="",
+            contradictions=("it never reverses: offset and Coulomb friction cannot be separated",),
+            record="motion both ways",
+            logs=tuple(dict.fromkeys(part.log.name for part in moving_parts)),
+        )
 
 
 def _collect_joints(hypotheses: Sequence[Hypothesis], checks: Sequence[str]) -> set[str]:
@@ -339,7 +361,10 @@ def _changes_load(fit: TorqueFit) -> bool:
 def find_unseen_effects(
     examination: Examination, joints: Sequence[str]
 ) -> Iterator[tuple[str, str]]:
-    """Yield joints with effects that the logs do not show."""
+    """Yield joints with effects that the logs do not show, and what they do not decide."""
+    for finding in examination.undecided:
+        for joint in finding.joints or ("all joints",):
+            yield joint, f"{finding.found}: {finding.remedy}"
     for j, joint in enumerate(joints):
         part_numbers = [k for k, part in enumerate(examination.parts) if part.is_moving[j]]
         if not part_numbers:
@@ -371,23 +396,44 @@ _BOUND_TOLERANCE = 0.01
 _MIN_NEGATIVE_COULOMB = 0.5  # negative Coulomb friction over the residual
 
 
-def check_body(body: RigidBody, robot: Robot) -> Iterator[Finding]:
+def check_body(body: RigidBody, robot: Robot) -> list[Finding]:
     """Check that a mass matrix is positive definite and friction brakes."""
+    return state(_doubt_body(body, robot))
+
+
+def _doubt_body(body: RigidBody, robot: Robot) -> Iterator[Hypothesis]:
     joints = robot.description.joints
     lowest_eigenvalue, q, j = _find_least_inertia(body, robot)
     if lowest_eigenvalue <= 0.0:
         positions_text = ", ".join(f"{position:.2f}" for position in q)
         example = f"{lowest_eigenvalue:.2g}, for instance at q = {positions_text}"
-        observation = f"the identified mass matrix is not positive definite (eigenvalue {example})"
         remedy = "the identified masses are not physically possible; use longer or faster logs"
         if not robot.description.known:  # which exclude it
             remedy += ", or --body physical"
-        yield build_joint_finding("mass-matrix", joints[j], observation, remedy, "warning")
-    for joint, (coulomb, _, _), rmse in zip(joints, body.friction, body.rmse, strict=True):
-        if -coulomb > _MIN_NEGATIVE_COULOMB * rmse:
-            observation = f"its Coulomb friction is identified as {coulomb:.3g} N.m"
-            remedy = "torque or velocity count backwards, or lag each other"
-            yield build_joint_finding("negative-friction", joint, observation, remedy, "warning")
+        yield Hypothesis(
+            check="mass-matrix",
+            joint=joints[j],
+            observation=f"the identified mass matrix is not positive definite (eigenvalue "
+            f"{example})",
+            remedy=remedy,
+            severity="warning",
+        )
+    for j, (coulomb, _, _) in enumerate(body.friction):
+        unit = unit_of_joint("N.m", is_prismatic=robot.slides[j])
+        yield Hypothesis(
+            check="negative-friction",
+            joint=joints[j],
+            observation=f"its Coulomb friction is identified as {coulomb:.3g} {unit}",
+            remedy="torque or velocity count backwards, or lag each other",
+            severity="warning",
+            trials=(
+                Statistic(
+                    name="its negative Coulomb friction over what the body leaves unexplained",
+                    estimate=Estimate(value=-coulomb / max(float(body.rmse[j]), 1e-300), error=0.0),
+                    high=_MIN_NEGATIVE_COULOMB,
+                ),
+            ),
+        )
 
 
 def _find_least_inertia(body: RigidBody, robot: Robot) -> tuple[float, Array, int]:
@@ -409,9 +455,14 @@ def _find_least_inertia(body: RigidBody, robot: Robot) -> tuple[float, Array, in
 
 def check_laws(
     models: Mapping[str, FrictionModel], records: Sequence[Sequence[FrictionRecord]]
-) -> Iterator[Finding]:
+) -> list[Finding]:
     """Check laws fitted to records [joint][log]; the baselines are there to be beaten."""
-    records = transform_all_records(records)
+    return state(_doubt_laws(models, transform_all_records(records)))
+
+
+def _doubt_laws(
+    models: Mapping[str, FrictionModel], records: Sequence[Sequence[FrictionRecord]]
+) -> Iterator[Hypothesis]:
     baselines = select_laws("baseline")
     for law_name, model in models.items():
         if law_name in baselines:
@@ -422,33 +473,47 @@ def check_laws(
                 len(model.training_rmse)
                 and model.training_rmse[j] >= _MIN_USELESS_ERROR * deviation
             ):
-                observation = (
-                    f"the error of the law {law_name}, {model.training_rmse[j]:.3g}, is no "
-                    f"smaller than friction itself, {deviation:.3g}"
+                yield Hypothesis(
+                    check="no-better-than-nothing",
+                    joint=joint,
+                    observation=f"the error of the law {law_name}, {model.training_rmse[j]:.3g}, "
+                    f"is no smaller than friction itself, {deviation:.3g}",
+                    remedy="the torque contains no friction to be fitted; see 'hesr inspect'",
+                    severity="warning",
                 )
-                remedy = "the torque contains no friction to be fitted; see 'hesr inspect'"
-                yield build_joint_finding(
-                    "no-better-than-nothing", joint, observation, remedy, "warning"
-                )
-            values = model.laws[j].values
-            if {"F_c", "F_s"} <= set(values) and values["F_c"] != 0:
-                ratio = values["F_s"] / values["F_c"]
-                for bound in STATIC_RATIO_BOUNDS:
-                    if abs(np.log(max(ratio, 1e-9) / bound)) < _BOUND_TOLERANCE:
-                        observation = f"F_s / F_c of the law {law_name} hit its limit ({ratio:.3g})"
-                        remedy = "the logs do not determine it; record slow motion and standstill"
-                        yield build_joint_finding("bound", joint, observation, remedy, "warning")
+            yield from _doubt_ratio(law_name, joint, model.laws[j].values)
 
 
-def check_owner(model: FrictionModel, robot: Robot) -> Iterator[Finding]:
+def _doubt_ratio(law_name: str, joint: str, values: Mapping[str, float]) -> Iterator[Hypothesis]:
+    """Doubt a ratio of static to Coulomb friction at an end of its search range."""
+    if not {"F_c", "F_s"} <= set(values) or values["F_c"] == 0:
+        return
+    ratio = values["F_s"] / values["F_c"]
+    for bound in STATIC_RATIO_BOUNDS:
+        if abs(np.log(max(ratio, 1e-9) / bound)) < _BOUND_TOLERANCE:
+            yield Hypothesis(
+                check="bound",
+                joint=joint,
+                observation=f"F_s / F_c of the law {law_name} hit its limit ({ratio:.3g})",
+                remedy="the logs do not determine it; record slow motion and standstill",
+                severity="warning",
+            )
+
+
+def check_owner(model: FrictionModel, robot: Robot) -> list[Finding]:
     """Check that a law belongs to the robot."""
+    return state(_doubt_owner(model, robot))
+
+
+def _doubt_owner(model: FrictionModel, robot: Robot) -> Iterator[Hypothesis]:
     description = robot.description
     # A law of other joints is refused elsewhere.
     if model.robot != description.name and model.joints == description.joints:
-        observation = (
-            f"the law {model.law} was fitted to '{model.robot}' and is evaluated on "
-            f"'{description.name}'"
-        )
-        yield build_joint_finding(
-            "other-robot", "", observation, "one of the files is of another robot", "warning"
+        yield Hypothesis(
+            check="other-robot",
+            joint="",
+            observation=f"the law {model.law} was fitted to '{model.robot}' and is evaluated on "
+            f"'{description.name}'",
+            remedy="one of the files is of another robot",
+            severity="warning",
         )

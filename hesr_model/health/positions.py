@@ -21,6 +21,7 @@ _MIN_SPIKE_TO_USUAL = 40.0  # distance of a spike over the usual change from ste
 _MIN_SPIKE_SHARE = 0.01  # of the range of the other rows
 MAX_EXCESS_SHARE = 0.02  # allowed excess over a limit, as a share of the width of the limits
 _MIN_STEPS = 20  # of different size or place that tell a resolution
+_SINGLE_STEP_QUANTILE = 0.05  # of distances between positions in steps, which is a single step
 _MIN_COARSE_NOISE = 0.1  # noise over the step of a rounded position, which is 0.29 in theory
 _MAX_SPEED_NOISE = 0.01  # noise of a velocity that rounding leaves, over the peak of the velocity
 _MAX_SLIDING_TRAVEL = 100.0  # [m] of a joint in other units
@@ -164,7 +165,8 @@ def check_steps(log: Log, description: RobotDescription) -> Iterator[Hypothesis]
                 remedy="give the size of a count in rad or m as [log.units] q, or log more digits",
             )
             continue
-        step = float(np.median(np.diff(values)))
+        # All distances are whole steps, of which some are single.
+        step = float(np.quantile(np.diff(values), _SINGLE_STEP_QUANTILE))
         # Distances of values are random with a fine encoder, equal with a coarse one.
         alike_share = np.mean(np.abs(np.diff(values) / step - 1.0) < 0.01)
         if not alike_share > 0.5 or len(values) == len(log.q):

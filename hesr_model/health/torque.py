@@ -530,6 +530,8 @@ _MIN_STUCK_ROWS = 15  # duration [s] and rows of a stuck signal
 _MIN_STUCK_TO_USUAL = 10.0
 _MIN_MOVING_SHARE = 0.25  # stuck run over others, its share in motion
 _MIN_SPIKE_TO_RANGE = 3.0  # torque spike over the range of other rows
+_ROWS_OF_A_CHANGE = 3  # before and after a sudden change of speed
+_MIN_SUDDEN_CHANGE = 0.3  # of the speed, over its peak
 _MAX_SPEED_TO_LIMIT = 1.3  # speed over the limit; drives exceed it slightly
 
 
@@ -554,7 +556,7 @@ def check_raw_signals(log: Log, description: RobotDescription) -> Iterator[Hypot
         lowest, highest = np.quantile(tau, [0.01, 0.99])
         neighbour_mean = 0.5 * (tau[:-2] + tau[2:])
         excursion = np.abs(tau[1:-1] - neighbour_mean)
-        is_single = np.abs(tau[2:] - tau[:-2]) < 0.2 * excursion
+        is_single = (np.abs(tau[2:] - tau[:-2]) < 0.2 * excursion) & ~_changes_speed(log.q[:, j])
         k = int(np.argmax(np.where(is_single, excursion, 0.0)))
         if is_single[k] and excursion[k] > _MIN_SPIKE_TO_RANGE * (highest - lowest) > 0.0:
             yield Hypothesis(
@@ -564,6 +566,20 @@ def check_raw_signals(log: Log, description: RobotDescription) -> Iterator[Hypot
                 f"{log.t[k + 1]:.4g} s",
                 remedy="that row is wrong; leave it out",
             )
+
+
+def _changes_speed(q: Array) -> Mask:
+    """Return whether a position (N,) changes its speed suddenly at its inner rows (N - 2,).
+
+    A drive that reverses within a row needs the torque of a single row.
+    """
+    rows = np.arange(1, len(q) - 1)
+    before = np.maximum(rows - _ROWS_OF_A_CHANGE, 0)
+    after = np.minimum(rows + _ROWS_OF_A_CHANGE, len(q) - 1)
+    speed_before = (q[rows] - q[before]) / (rows - before)
+    speed_after = (q[after] - q[rows]) / (after - rows)
+    peak = max(float(np.max(np.abs(speed_after))), 1e-300)
+    return np.asarray(np.abs(speed_after - speed_before) > _MIN_SUDDEN_CHANGE * peak)
 
 
 def _compute_speeds(log: Log) -> Array:

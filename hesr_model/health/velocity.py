@@ -71,8 +71,12 @@ def match_velocity(
     ]
     slope = min((slope for slope, _ in comparisons), key=lambda slope: slope.error)
     correlation = max((correlation for _, correlation in comparisons), key=lambda c: abs(c.value))
+    mismatch_error = np.inf
+    if np.isfinite(correlation.error):
+        mismatch_error = 2.0 * abs(correlation.value) * correlation.error
     mismatch = Estimate(
-        value=1.0 - correlation.value**2, error=2.0 * abs(correlation.value) * correlation.error
+        value=1.0 - correlation.value**2,
+        error=mismatch_error,
     )
     lag = _find_lag(v, dq, period)
     sign = -1.0 if correlation.value < 0.0 else 1.0
@@ -105,7 +109,7 @@ def _compare_moments(v: Array, dq: Array, noise: tuple[float, float]) -> tuple[E
     v_squares, dq_squares, products = np.vstack([total, total - moments]).T
     if np.min(v_squares) <= 0.0 or np.min(dq_squares) <= 0.0:
         # Nothing but noise: no ratio can be told.
-        return Estimate(value=1.0, error=np.inf), Estimate(value=0.0, error=0.0)
+        return Estimate(value=1.0, error=np.inf), Estimate(value=0.0, error=np.inf)
     ratios = np.sqrt(v_squares / dq_squares)
     correlations = np.clip(products / np.sqrt(v_squares * dq_squares), -1.0, 1.0)
     return _estimate_by_jackknife(ratios), _estimate_by_jackknife(correlations)
@@ -152,7 +156,14 @@ def _find_lag(v: Array, dq: Array, period: float) -> Estimate:
     unexplained = np.maximum(1.0 - correlations[best - 1 : best + 2] ** 2, 1e-12)
     before, at, after = 0.5 * independent_rows * np.log(unexplained)
     curvature = before - 2.0 * at + after
-    error = period / np.sqrt(curvature) if curvature > 0.0 else np.inf
+    if not curvature > 0.0:
+        return Estimate(value=lag, error=np.inf)
+    # A peak of noise is as sharp as one of motion, but hardly likelier than no lag.
+    unexplained_at_once = max(1.0 - correlations[max_shift] ** 2, 1e-12)
+    certainty = float(
+        np.sqrt(2.0 * max(0.5 * independent_rows * np.log(unexplained_at_once) - at, 0.0))
+    )
+    error = max(period / np.sqrt(curvature), abs(lag) / max(certainty, 1e-300))
     return Estimate(value=lag, error=float(error))
 
 
@@ -306,7 +317,6 @@ def _doubt_lag(
                     value=abs(match.lag) / resolution, error=match.lag_error / resolution
                 ),
                 high=1.0,
-                errors=1.0,
             ),
             Race(rival="no lag", rival_squares=rival_squares, squares=squares),
         ),
