@@ -280,6 +280,8 @@ def can_tell(mistake: Mistake, log: Log, spoilt: Log, j: int, robot: Robot) -> b
     """
     if mistake.reading == "rows":
         return True
+    if mistake.reading == "scale" and robot.description.known is not None:
+        return False  # the model's body is a placeholder
     cutoff = robot.description.log.filter_cutoff
     true_parts = smooth_parts(log, cutoff)
     spoilt_parts = smooth_parts(spoilt, cutoff)

@@ -83,7 +83,9 @@ def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | N
     broken_joints = _collect_joints(hypotheses, ("wrap", "spikes"))
     coarse_joints = _collect_joints(hypotheses, ("coarse",))
     for part in parts:
-        hypotheses += add_log_name(part.log, check_velocity(part, description, broken_joints))
+        hypotheses += add_log_name(
+            part.log, check_velocity(part, description, broken_joints, coarse_joints)
+        )
         if robot:
             hypotheses += add_log_name(part.log, positions.check_limits(part, robot))
             hypotheses += add_log_name(part.log, positions.check_sliding(part, robot))

@@ -9,7 +9,7 @@ from hesr_model.health.evidence import ModelTorques, SmoothPart, compute_speed_n
 from hesr_model.health.referee import Estimate, Hypothesis, Statistic
 from hesr_model.logs.guess import is_of_motor
 from hesr_model.logs.log_format import column_names
-from hesr_model.logs.rest import find_travelling
+from hesr_model.logs.rest import MOVING_SHARE, find_travelling
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.arrays import Array, Integers
@@ -185,6 +185,9 @@ def _doubt_resolution(log: Log, j: int, joint: str, step: float, cutoff: float) 
     window = min(max(1, round(1.0 / (cutoff * log.period))), len(log.t) - 1)
     speeds = (log.q[window:, j] - log.q[:-window, j]) / (log.t[window:] - log.t[:-window])
     peak = max(float(np.max(np.abs(speeds))), 1e-300)
+    # Slow motion leaves rows without a change instead of noise.
+    moving_steps = np.diff(log.q[: len(speeds) + 1, j])[np.abs(speeds) > MOVING_SHARE * peak]
+    repeated_share = float(np.mean(moving_steps == 0.0)) if len(moving_steps) else 0.0
     return Hypothesis(
         check="coarse",
         joint=joint,
@@ -194,8 +197,8 @@ def _doubt_resolution(log: Log, j: int, joint: str, step: float, cutoff: float) 
         severity="warning",
         trials=(
             Statistic(
-                name="the noise of its position over a step",
-                estimate=Estimate(value=measured_noise / step, error=0.0),
+                name="the noise of its position over a step, or its share of repeated rows",
+                estimate=Estimate(value=max(measured_noise / step, repeated_share), error=0.0),
                 high=_MIN_COARSE_NOISE,
             ),
             Statistic(

@@ -1,7 +1,7 @@
 """Velocity checks against the derivative of the position: units, signs, columns, lag."""
 
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -168,9 +168,20 @@ def _find_lag(v: Array, dq: Array, period: float) -> Estimate:
 
 
 def check_velocity(
-    part: SmoothPart, description: RobotDescription, excluded_joints: Collection[str] = ()
+    part: SmoothPart,
+    description: RobotDescription,
+    excluded_joints: Collection[str] = (),
+    coarse_joints: Collection[str] = (),
 ) -> Iterator[Hypothesis]:
-    """Doubt velocities, but for resting joints and those in `excluded_joints`."""
+    """Doubt velocities, but for resting joints.
+
+    Parameters
+    ----------
+    part : rows of a log.
+    description : of the robot.
+    excluded_joints : joints that are not judged.
+    coarse_joints : joints whose positions are too coarse to contradict a velocity.
+    """
     if part.dq is None:
         return
     rows = part.is_measured
@@ -209,7 +220,13 @@ def check_velocity(
                 changes={"log.columns.dq": ""},
             )
         else:
-            yield _doubt_column(description, j, match, mismatch, column_of_joint, v, dq, left_out)
+            hypothesis = _doubt_column(
+                description, j, match, mismatch, column_of_joint, v, dq, left_out
+            )
+            if joint in coarse_joints:
+                # The derivative of a coarse position may contradict a good velocity.
+                hypothesis = replace(hypothesis, contradictions=("its position is coarse",))
+            yield hypothesis
 
 
 def _match_columns(v: Array, dq: Array, joints: Integers) -> dict[int, int]:

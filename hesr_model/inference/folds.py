@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hesr_model.logs.signals import Motion, resting_speeds, reversals
+from hesr_model.logs.signals import Motion, find_settled_rows, resting_speeds, reversals
 from hesr_model.support.arrays import Array, Mask
 
 FOLD_COUNT = 5
@@ -38,7 +38,8 @@ class Fold:
     def reverses(self, j: int) -> bool:
         """Return whether a joint reverses in the training pieces."""
         return any(
-            len(reversals(piece.dq[:, j], float(self.resting_speeds[j]))) > 0
+            len(reversals(piece.dq[find_settled_rows(piece.t), j], float(self.resting_speeds[j])))
+            > 0
             for piece in self.training
         )
 

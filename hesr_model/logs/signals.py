@@ -14,6 +14,7 @@ from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, Integers, Mask, select_rows
 
 REVERSAL_WINDOW = 0.1  # half width [s] of the window around a reversal
+_MIN_SETTLED_DURATION = 1.0  # [s] of a record whose ends are left out
 
 
 def moving(dq: Array, resting_speed: float | Array = MOVING) -> Mask:
@@ -29,6 +30,19 @@ def reversals(dq: Array, resting_speed: float = MOVING) -> Integers:
         rows[k] + np.argmin(np.abs(dq[rows[k] : rows[k + 1] + 1])) for k in sign_changes
     ]
     return np.array(reversal_rows, dtype=np.intp)
+
+
+def find_settled_rows(t: Array) -> slice:
+    """Return the rows of times (N,) [s] that a low pass did not have to guess at an end.
+
+    It continues a motion beyond its first and last rows, and may reverse there what never did.
+    Short records are judged whole.
+    """
+    if t[-1] - t[0] < _MIN_SETTLED_DURATION:
+        return slice(None)
+    first = int(np.searchsorted(t, t[0] + REVERSAL_WINDOW))
+    last = int(np.searchsorted(t, t[-1] - REVERSAL_WINDOW, side="right"))
+    return slice(first, last)
 
 
 def near_reversals(t: Array, dq: Array, resting_speed: float = MOVING) -> Mask:

@@ -9,7 +9,7 @@ import numpy as np
 from hesr_model.errors import LogError
 from hesr_model.logs.rest import find_resting_speeds
 from hesr_model.logs.robot_log import Log
-from hesr_model.logs.signals import Motion, reversals, smooth
+from hesr_model.logs.signals import Motion, find_settled_rows, reversals, smooth
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot
 from hesr_model.robots.transmission import Coupling
@@ -149,12 +149,19 @@ def find_resting_speed(joint_records: Sequence[FrictionRecord]) -> float:
 
 
 def require_reversals(joint_records: Sequence[FrictionRecord]) -> None:
-    """Raise LogError if the velocity of a joint never reverses."""
+    """Raise LogError if the velocity of a joint never reverses, or only where it is smoothed."""
     resting_speed = find_resting_speed(joint_records)
-    if not any(len(reversals(record.dq, resting_speed)) for record in joint_records):
+    if not any(_reverses(record, resting_speed) for record in joint_records):
         unit = unit_of_joint("rad/s", is_prismatic=joint_records[0].sliding)
         raise LogError(
             f"log {', '.join(record.log for record in joint_records)}: the velocity of joint "
             f"'{joint_records[0].joint}' never reverses between speeds of more than "
-            f"{resting_speed:.3g} {unit}; at least one log must reverse it."
+            f"{resting_speed:.3g} {unit}, so that an offset and Coulomb friction cannot be "
+            "separated; at least one log must reverse it."
         )
+
+
+def _reverses(record: FrictionRecord, resting_speed: float) -> bool:
+    """Return whether a joint reverses where the low pass did not have to guess at an end."""
+    rows = find_settled_rows(record.t)
+    return len(reversals(record.dq[rows], resting_speed)) > 0
