@@ -271,7 +271,7 @@ def test_a_clean_log_has_no_findings(
     assert "Nothing wrong or unusual was found." in said.out
     envelope = json.loads(answer.read_text("utf-8"))
     assert (envelope["passed"], envelope["findings"]) == (True, [])
-    empty = {"given": [], "proposed": [], "reasons": {}, "torque_constants": []}
+    empty = {"given": [], "proposed": [], "undecided": [], "reasons": {}, "torque_constants": []}
     assert envelope["result"] == empty
 
 
