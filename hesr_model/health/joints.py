@@ -75,7 +75,7 @@ def select_joints_of_table(
 
 def _count_positions(table: LogTable) -> int:
     try:
-        return len(guess_columns(table).columns["q"])
+        return guess_columns(table).joint_count
     except LogError:
         return 0
 

@@ -7,7 +7,7 @@ import numpy as np
 from hesr_model.findings import Severity
 from hesr_model.health.evidence import ModelTorques, SmoothPart, compute_speed_noise
 from hesr_model.health.referee import Estimate, Hypothesis, Statistic
-from hesr_model.logs.guess import is_of_motor
+from hesr_model.logs.column_names import is_of_motor
 from hesr_model.logs.log_format import column_names
 from hesr_model.logs.rest import MOVING_SHARE, find_travelling
 from hesr_model.logs.robot_log import Log

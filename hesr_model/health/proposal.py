@@ -12,6 +12,7 @@ import numpy as np
 from hesr_model.errors import LogError
 from hesr_model.findings import Finding, sort_by_severity
 from hesr_model.health import joints as selection
+from hesr_model.health.columns import ColumnProposal, propose_columns
 from hesr_model.health.examine import SYMPTOMS, Examination, examine, is_hopeless
 from hesr_model.health.joints import (
     apply_changes,
@@ -23,7 +24,7 @@ from hesr_model.health.joints import (
 )
 from hesr_model.health.velocity import match_velocity
 from hesr_model.logs.guess import guess_columns
-from hesr_model.logs.log_format import LogFormat, column_names
+from hesr_model.logs.log_format import LogFormat
 from hesr_model.logs.log_table import LogTable
 from hesr_model.logs.readers.formats import find_format
 from hesr_model.logs.robot_log import Log
@@ -81,7 +82,7 @@ def inspect_logs(
             description, reason = selection.select_joints_of_table(description, table)
         reasons = {"joints": f"likely: {reason}"} if reason else {}
         return _add_doubts(propose(paths, description, has_model=True), reasons)
-    joint_count = len(guess_columns(table).columns["q"]) if table else 1
+    joint_count = guess_columns(table).joint_count if table else 1
     names = tuple(f"joint{number}" for number in range(1, joint_count + 1))
     unknown_description = RobotDescription(name="robot", model=Path("unknown"), joints=names)
     return propose(paths, unknown_description, has_model=False)
@@ -117,9 +118,8 @@ def propose(paths: Sequence[Path], description: RobotDescription, *, has_model: 
             examine(logs, description, Robot(description) if has_model else None),
         )
 
-    description, logs, examination = read_and_examine(
-        _guess_columns(paths[0], description, reasons)
-    )
+    column_proposal = _propose_columns(paths[0], description, reasons)
+    description, logs, examination = read_and_examine(column_proposal.description)
     first_findings = examination.findings
     for _ in range(_ROUNDS):
         findings = examination.findings
@@ -191,46 +191,15 @@ def open_table(path: Path, log_format: LogFormat) -> LogTable | None:
     return read_named_table(path, log_format) if read_named_table and path.is_file() else None
 
 
-def _guess_columns(
+def _propose_columns(
     path: Path, description: RobotDescription, reasons: dict[str, str]
-) -> RobotDescription:
+) -> ColumnProposal:
     table = open_table(path, description.log)
-    if table is None or _has_columns(table, description):
-        return description
-    guessed = guess_columns(table, description.joints, timed=description.log.rate is None)
-    changes: dict[str, Any] = {f"log.columns.{k}": v for k, v in guessed.columns.items()}
-    if "dq" not in guessed.columns:
-        changes["log.columns.dq"] = ""
-        reasons["log.columns.dq"] = "likely: no column looks like a velocity"
-    changes |= {f"log.units.{k}": v for k, v in guessed.units.items()}
-    reasons |= {f"log.units.{k}": f"likely: {guessed.reasons[k]}" for k in guessed.units}
-    reasons |= {
-        f"log.columns.{k}": f"likely: {guessed.reasons.get(k, 'it rises')}" for k in guessed.columns
-    }
-    log_format = description.log
-    if (
-        "tau" not in guessed.columns
-        and log_format.torque_per_ampere is None
-        and log_format.cylinder is None
-    ):
-        changes["log.torque_per_ampere"] = (1.0,) * len(description.joints)
-        changes["sources.torque_per_ampere"] = "guessed"
-        reasons["log.torque_per_ampere"] = "guess: only currents are logged"
-    return apply_changes(description, changes)
-
-
-def _has_columns(table: LogTable, description: RobotDescription) -> bool:
-    columns = description.log.columns
-    log_format = description.log
-    needed_columns = [
-        *([] if log_format.rate else [columns.t]),
-        *column_names(columns.q, description.joints),
-    ]
-    if log_format.cylinder is None:
-        effort = columns.tau if log_format.torque_per_ampere is None else columns.current
-        needed_columns += column_names(effort, description.joints)
-    needed_columns += column_names(columns.dq, description.joints) if columns.dq else []
-    return set(needed_columns) <= set(table.names)
+    if table is None:
+        return ColumnProposal(description=description)
+    proposal = propose_columns(table, description)
+    reasons |= proposal.reasons
+    return proposal
 
 
 def _read_logs(

@@ -1,135 +1,347 @@
-"""Guesses of the columns of an unknown table."""
+"""Guesses of the columns of an unknown table: candidates by name, then tried against each other."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
 from hesr_model.errors import LogError
+from hesr_model.logs.column_names import (
+    BY_LETTER,
+    BY_UNIT,
+    COMMANDED_QUANTITIES,
+    FORCE_WORDS,
+    MEASURED_WORDS,
+    TIME_WORDS,
+    Reading,
+    UnitSize,
+    read_name,
+    read_unit,
+    split_tokens,
+)
+from hesr_model.logs.kinematics import DerivativeMatch, match_derivative
 from hesr_model.logs.log_table import LogTable
-from hesr_model.units import COMMON_UNITS
+from hesr_model.support.arrays import Array
+from hesr_model.units import COMMON_UNITS, find_si_factor
 
-
-def _split_words(text: str) -> frozenset[str]:
-    return frozenset(text.split())
-
-
-_QUANTITY_WORDS: Mapping[str, frozenset[str]] = {
-    "temperature": _split_words("temperature temperatures temp temps"),
-    "dq": _split_words(
-        "dq qd qdot dqdt vel velocity velocities speed speeds omega qp geschwindigkeit drehzahl"
-    ),
-    "q": _split_words(
-        "q pos position positions angle angles theta qm encoder enc displacement winkel weg"
-    ),
-    "tau": _split_words(
-        "tau torque torques trq effort efforts moment moments drehmoment tq nm force forces kraft"
-    ),
-    "current": _split_words("i im cur curr current currents amp amps ampere iq strom motorstrom"),
-}  # Words in column names; the first match wins
-# Torques of sliding joints, unless a torque is logged.
-_FORCE_WORDS = _split_words("force forces kraft")
-_COMMANDED_QUANTITIES = ("q", "dq")  # quantities whose commands are read
-_JOINT_WORDS = _split_words("joint axis")  # positions, unless another quantity matches
-_COMMAND_WORDS = _split_words("target desired des ref reference cmd command setpoint goal")
-_IGNORED_WORDS = _split_words(
-    "acc acceleration ddq qdd error err tcp ext external voltage control window limit mode status "
-    "dir"
-)
-_MOTOR_WORDS = _split_words("qm motor motors")
-_MEASURED_WORDS = _split_words("actual act meas measured msr")
-_TIME_WORDS = _split_words(
-    "t time timestamp stamp timestamps datetime date clock unix secs seconds sec zeit"
-)
-_UNITS: Mapping[str, Mapping[str, str]] = {
-    "q": {"deg": "deg", "degree": "deg", "degrees": "deg", "grad": "deg", "mm": "mm", "rev": "rev"},
-    "dq": dict.fromkeys(("deg", "degs", "dps", "degrees"), "deg/s") | {"rpm": "rpm", "mm": "mm/s"},
-    "tau": {"mnm": "mN.m"},
-    "current": {"ma": "mA"},
-    "temperature": {"kelvin": "K"},
-    "t": {word: word[:2] for word in ("ms", "msec", "us", "usec", "ns", "nsec")}
-    | {"nanoseconds": "ns", "milliseconds": "ms"},
-}
-_TOKEN = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|°")
-_AXES = re.compile(r"(?<![A-Za-z])[iI]_([dq])(?![A-Za-z])")  # i_q is a current, not a position
 _NUMBER = re.compile(r"(?<!\d)\d{1,9}(?!\d)")  # a joint number; longer ones are slow to parse
 _PLAUSIBLE_RATES = (5.0, 20_000.0)  # plausible sample rates [Hz]
+_MAX_CANDIDATES = 8  # of a quantity that are tried
+_MAX_LOG_RATIO = 0.1  # of a derivative and a velocity in the units of their names
+_QUANTITIES = ("temperature", "dq", "q", "tau", "current")
+# Suffixes of stamps in two columns, as of ROS.
+_SECONDS_SUFFIXES = ("sec", "secs", "seconds", "s")
+_NANOSECONDS_SUFFIXES = ("nanosec", "nsec", "nsecs", "nanosecs", "nanoseconds", "ns")
+_SUPPLY_WORDS = frozenset(("id", "bus", "supply", "dc", "battery", "input"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColumnCandidate:
+    """Columns that may be a quantity, one per joint.
+
+    Attributes
+    ----------
+    names : names of the columns, in the order of the joints.
+    unit : name, or size in SI; empty for SI.
+    order : key by which the likelier one of two candidates is the smaller, by their names.
+    reason : why the columns may be the quantity.
+    """
+
+    quantity: str
+    names: tuple[str, ...]
+    unit: UnitSize
+    order: tuple[int | bool, ...]
+    reason: str
+
+    @property
+    def rank(self) -> int:
+        """How sure the reading of the names is."""
+        return int(self.order[0])
 
 
 @dataclass(frozen=True, kw_only=True)
 class ColumnGuess:
-    """Columns (a name for t, else one per joint), units and reasons by quantity."""
+    """Columns (a name for t, else one per joint), units and reasons by quantity.
+
+    `t` may be a pair of seconds and nanoseconds, and `q` is empty if only velocities were found.
+    `candidates` are all that the names allow, by quantity, the likeliest first.
+    """
 
     columns: Mapping[str, str | tuple[str, ...]]
-    units: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, UnitSize] = field(default_factory=dict)
     reasons: Mapping[str, str] = field(default_factory=dict)
+    candidates: Mapping[str, Sequence[ColumnCandidate]] = field(default_factory=dict)
+
+    @property
+    def joint_count(self) -> int:
+        """Number of joints."""
+        return len(self.columns["q"] or self.columns["dq"])
+
+
+class _Group(NamedTuple):
+    """Columns that differ in a number or in the name of a joint, which `key` leaves out."""
+
+    key: str
+    names: tuple[str, ...]
 
 
 def guess_columns(
-    table: LogTable, joints: Sequence[str] = (), *, timed: bool = True
+    table: LogTable,
+    joints: Sequence[str] = (),
+    *,
+    timed: bool = True,
+    stated: Mapping[str, Sequence[str]] | None = None,
 ) -> ColumnGuess:
-    """Guess columns, maybe with names of `joints`, and time if `timed`; raises LogError."""
-    groups = list(_group_names(table.names, joints))
-    joint_count = len(joints) or max(
-        (len(group) for _, group in groups if _recognise_quantity(group[0]) == "q"), default=0
-    )
-    position_names = [name for name in table.names if _recognise_quantity(name) == "q"]
-    if (
-        joint_count < 2
-        and not any(_recognise_quantity(group[0]) == "q" for _, group in groups)
-        and len(position_names) == 1
-    ):
-        groups = [("", (name,)) for name in table.names]
-        joint_count = 1
+    """Guess columns, maybe with names of `joints`, and time if `timed`; raises LogError.
+
+    A unit in a name outranks any word. Of several positions and velocities, those are chosen of
+    which one is the derivative of the other. Columns that are `stated`, by quantity, are kept.
+    """
     columns: dict[str, str | tuple[str, ...]] = {}
-    units = {}
-    reasons = {}
-    for quantity in (*_QUANTITY_WORDS, *(f"{name}_cmd" for name in _COMMANDED_QUANTITIES)):
-        candidate_groups = [
-            group
-            for _, group in groups
-            if _recognise_quantity(group[0]) == quantity and len(group) >= joint_count > 0
-        ]
-        if not candidate_groups and joints:
-            quantity_names = tuple(
-                name for name in table.names if _recognise_quantity(name) == quantity
-            )
-            # Mixed names, as q_lift, q_1, q_2.
-            candidate_groups = [quantity_names] * (len(quantity_names) == joint_count)
-        if candidate_groups:
-            best_group = min(
-                candidate_groups,
-                key=lambda group: (
-                    not _FORCE_WORDS.isdisjoint(_split_tokens(group[0])),
-                    _MEASURED_WORDS.isdisjoint(_split_tokens(group[0])),
-                    len(group),
-                    len(group[0]),
-                ),
-            )
-            columns[quantity] = tuple(best_group[:joint_count])
-            reasons[quantity] = f"named so: {best_group[0]}"
-            unit = _recognise_unit(quantity, best_group[0])
-            if unit:
-                units[quantity] = unit
+    units: dict[str, UnitSize] = {}
+    reasons: dict[str, str] = {}
     if timed or any(_rises(table, name) for name in _find_time_names(table)):
-        columns["t"] = _find_time(table)
-        units["t"], reasons["t"] = _guess_time_unit(table, str(columns["t"]))
-    if "q" not in columns:
-        joint_text = "a joint" if joint_count < 2 else f"all {joint_count} joints"
-        raise LogError(
-            f"{table.path}: no columns look like positions of {joint_text}; it has "
-            f"{table.listing}; name them under 'log.columns' of a robot file.",
-            code="log.no_positions",
-            where=table.path,
-            key="log.columns",
-        )
-    return ColumnGuess(columns=columns, units=units, reasons=reasons)
+        time_name = _find_time(table)
+        columns["t"] = time_name
+        units["t"], reasons["t"] = _guess_time_unit(table, time_name)
+        stamps = table.times(time_name, 1.0, missing=True)
+    else:
+        stamps = np.arange(table.rows, dtype=float)
+    time_names = columns.get("t", ())
+    time_names = (time_names,) if isinstance(time_names, str) else time_names
+    candidates = _find_candidates(table, joints, without=time_names)
+    candidates = _keep_stated(candidates, stated or {})
+    time_size = float(find_si_factor("t", units.get("t", "s")))
+    chosen = _choose_motion(table, stamps, time_size, candidates)
+    for quantity, quantity_candidates in candidates.items():
+        if quantity not in ("q", "dq"):
+            chosen[quantity] = quantity_candidates[0]
+    if "q" not in chosen and "dq" not in chosen:
+        raise _report_no_positions(table, joints)
+    for quantity, candidate in chosen.items():
+        columns[quantity] = candidate.names
+        reasons[quantity] = candidate.reason
+        if candidate.unit:
+            units[quantity] = candidate.unit
+    if "q" not in chosen:
+        columns["q"] = ""
+        reasons["q"] = "no column looks like a position; it is the integral of the velocity"
+    return ColumnGuess(columns=columns, units=units, reasons=reasons, candidates=candidates)
 
 
-def is_of_motor(name: str) -> bool:
-    """Return whether a column is named like a motor's."""
-    return not _MOTOR_WORDS.isdisjoint(_split_tokens(name))
+def _report_no_positions(table: LogTable, joints: Sequence[str]) -> LogError:
+    joint_text = "a joint" if len(joints) < 2 else f"all {len(joints)} joints"
+    return LogError(
+        f"{table.path}: no columns look like positions or velocities of {joint_text}; it has "
+        f"{table.listing}; name them under 'log.columns' of a robot file.",
+        code="log.no_positions",
+        where=table.path,
+        key="log.columns",
+    )
+
+
+def _find_candidates(
+    table: LogTable, joints: Sequence[str], without: Sequence[str]
+) -> dict[str, Sequence[ColumnCandidate]]:
+    """Return candidates by quantity, `without` some columns, the likeliest by name first."""
+    # Of one joint, a column counts as itself: in 'speed [1/min]' the number is that of a unit.
+    groups = [_Group(name, (name,)) for name in table.names]
+    groups += [_Group(key, names) for key, names in _group_names(table.names, joints)]
+    readings = {
+        group.key: read_name(group.key) or _read_bare_joint(group, joints) for group in groups
+    }
+    joint_count = len(joints) or _count_joints(groups, readings)
+    candidates: dict[str, list[ColumnCandidate]] = {}
+    for group in groups:
+        if len(group.names) < joint_count or not set(without).isdisjoint(group.names):
+            continue
+        for reading in readings[group.key]:
+            candidate = _build_candidate(group, reading, joint_count)
+            of_quantity = candidates.setdefault(reading.quantity, [])
+            if all(candidate.names != other.names for other in of_quantity):
+                of_quantity.append(candidate)
+    if joints:
+        free_names = [name for name in table.names if name not in without]
+        _add_mixed_names(free_names, joint_count, candidates)
+    quantities = (*_QUANTITIES, *(f"{name}_cmd" for name in COMMANDED_QUANTITIES))
+    return {
+        quantity: sorted(candidates[quantity], key=lambda candidate: candidate.order)[
+            :_MAX_CANDIDATES
+        ]
+        for quantity in quantities
+        if quantity in candidates
+    }
+
+
+def _keep_stated(
+    candidates: Mapping[str, Sequence[ColumnCandidate]], stated: Mapping[str, Sequence[str]]
+) -> dict[str, Sequence[ColumnCandidate]]:
+    """Return the stated columns, and the candidates for other quantities beside them."""
+    stated_names = {name for names in stated.values() for name in names}
+    remaining: dict[str, Sequence[ColumnCandidate]] = {}
+    for quantity, quantity_candidates in candidates.items():
+        free_candidates = [
+            candidate
+            for candidate in quantity_candidates
+            if stated_names.isdisjoint(candidate.names)
+        ]
+        if free_candidates and quantity not in stated:
+            remaining[quantity] = free_candidates
+    for quantity, names in stated.items():
+        remaining[quantity] = [
+            ColumnCandidate(
+                quantity=quantity, names=tuple(names), unit="", order=(BY_UNIT,), reason="stated"
+            )
+        ]
+    return remaining
+
+
+def _read_bare_joint(group: _Group, joints: Sequence[str]) -> list[Reading]:
+    """Return the readings of columns that are called as the joints: positions, if nothing else."""
+    if not joints or split_tokens(group.key):
+        return []
+    return read_name(group.names[0])
+
+
+def _add_mixed_names(
+    all_names: Sequence[str], joint_count: int, candidates: dict[str, list[ColumnCandidate]]
+) -> None:
+    """Add candidates of mixed names, as q_lift, q_1, q_2, where no pattern has enough columns."""
+    names_by_quantity: dict[str, list[str]] = {}
+    readings: dict[str, Reading] = {}
+    for name in all_names:
+        for reading in read_name(name)[:1]:
+            names_by_quantity.setdefault(reading.quantity, []).append(name)
+            readings.setdefault(reading.quantity, reading)
+    for quantity, names in names_by_quantity.items():
+        if quantity not in candidates and len(names) == joint_count:
+            group = _Group(names[0], tuple(names))
+            candidates[quantity] = [_build_candidate(group, readings[quantity], joint_count)]
+
+
+def _build_candidate(group: _Group, reading: Reading, joint_count: int) -> ColumnCandidate:
+    tokens = split_tokens(group.key)
+    how = "by its unit" if reading.rank == BY_UNIT else "named so"
+    return ColumnCandidate(
+        quantity=reading.quantity,
+        names=tuple(group.names[:joint_count]),
+        unit=reading.unit,
+        order=(
+            reading.rank,
+            not FORCE_WORDS.isdisjoint(tokens),
+            not _SUPPLY_WORDS.isdisjoint(tokens),
+            MEASURED_WORDS.isdisjoint(tokens),
+            len(group.names),
+            len(group.key),
+        ),
+        reason=f"{how}: {group.names[0]}",
+    )
+
+
+def _count_joints(groups: Sequence[_Group], readings: Mapping[str, list[Reading]]) -> int:
+    """Return the number of joints for which most quantities have columns, the larger of equals."""
+    best_count = 0
+    best_quantity_count = 0
+    for joint_count in sorted({len(group.names) for group in groups}):
+        quantities = {
+            readings[group.key][0].quantity
+            for group in groups
+            if len(group.names) >= joint_count and readings[group.key]
+        }
+        quantity_count = len(quantities & {"q", "dq"}) + bool(quantities & {"tau", "current"})
+        if quantity_count and quantity_count >= best_quantity_count:
+            best_count = joint_count
+            best_quantity_count = quantity_count
+    return best_count
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Pair:
+    """A position and a velocity, and how well the one predicts the other."""
+
+    position: ColumnCandidate
+    velocity: ColumnCandidate
+    match: DerivativeMatch
+
+    def fits_units(self, time_size: float) -> bool:
+        """Return whether the derivative equals the velocity in the units of the names."""
+        sizes = [
+            find_si_factor(candidate.quantity, candidate.unit) if candidate.unit else 1.0
+            for candidate in (self.position, self.velocity)
+        ]
+        ratio = abs(self.match.factor) * sizes[0] / (sizes[1] * time_size)
+        return ratio > 0.0 and abs(np.log(ratio)) < _MAX_LOG_RATIO
+
+
+def _choose_motion(
+    table: LogTable,
+    stamps: Array,
+    time_size: float,
+    candidates: Mapping[str, Sequence[ColumnCandidate]],
+) -> dict[str, ColumnCandidate]:
+    """Return position and velocity: by names, unless the one is the derivative of another one."""
+    positions = candidates.get("q", ())
+    velocities = candidates.get("dq", ())
+    firsts = (*positions[:1], *velocities[:1])
+    by_name = {candidate.quantity: candidate for candidate in firsts}
+    has_letters = any(candidate.rank >= BY_LETTER for candidate in by_name.values())
+    if len(by_name) < 2 or (len(positions) == len(velocities) == 1 and not has_letters):
+        return by_name
+    pairs = [
+        _Pair(position=q, velocity=dq, match=_match_columns(table, stamps, q.names, dq.names))
+        for q, dq in product(positions, velocities)
+        if set(q.names).isdisjoint(dq.names)
+    ]
+    explaining = [pair for pair in pairs if pair.match.explains]
+    if not explaining:
+        return _drop_letters(by_name)
+    best = min(explaining, key=lambda pair: pair.match.share)
+    contenders = [pair for pair in explaining if not best.match.beats(pair.match)]
+    chosen = min(
+        contenders,
+        # Motors and joints behind a gear match each other, in other units than those of the names.
+        key=lambda pair: (
+            not pair.fits_units(time_size),
+            pair.position.order,
+            pair.velocity.order,
+        ),
+    )
+    others = {candidate.names for candidate in (*positions, *velocities)}
+    others -= {chosen.position.names, chosen.velocity.names}
+    if not others:
+        return {"q": chosen.position, "dq": chosen.velocity}
+    return {
+        "q": replace(
+            chosen.position,
+            reason=f"{chosen.position.reason}; {chosen.velocity.names[0]} is its derivative",
+        ),
+        "dq": replace(
+            chosen.velocity,
+            reason=f"{chosen.velocity.reason}; it is the derivative of {chosen.position.names[0]}",
+        ),
+    }
+
+
+def _drop_letters(by_name: dict[str, ColumnCandidate]) -> dict[str, ColumnCandidate]:
+    """Drop what only a letter names, unless nothing else is left."""
+    named = {
+        quantity: candidate for quantity, candidate in by_name.items() if candidate.rank < BY_LETTER
+    }
+    return named or {"q": by_name["q"]}
+
+
+def _match_columns(
+    table: LogTable, stamps: Array, q_names: Sequence[str], dq_names: Sequence[str]
+) -> DerivativeMatch:
+    try:
+        q = table.numbers(q_names, missing=True)
+        dq = table.numbers(dq_names, missing=True)
+    except LogError:  # of columns with text, which cannot be chosen
+        return DerivativeMatch(factor=0.0, errors=np.ones(1))
+    return match_derivative(stamps, q, dq)
 
 
 def _group_names(
@@ -143,37 +355,17 @@ def _group_names(
             numbered.setdefault(key, {})[int(match[0])] = name
         for number, joint in enumerate(joints):
             if joint in name:
-                named.setdefault(name.replace(joint, "{name}", 1), {})[number] = name
+                named.setdefault(name.replace(joint, "{}", 1), {})[number] = name
     for key, names_by_number in (*named.items(), *numbered.items()):
         numbers = sorted(names_by_number)
         if len(numbers) > 1 or len(joints) == 1:
             yield key, tuple(names_by_number[number] for number in numbers)
 
 
-def _split_tokens(name: str) -> list[str]:
-    return [token.lower() for token in _TOKEN.findall(_AXES.sub(r"i\1", name))]
-
-
-def _recognise_quantity(name: str) -> str:
-    tokens = set(_split_tokens(name))
-    if tokens & _IGNORED_WORDS:
-        return ""
-    quantity = next(
-        (candidate for candidate, words in _QUANTITY_WORDS.items() if tokens & words), ""
-    )
-    quantity = quantity or ("q" if tokens & _JOINT_WORDS else "")
-    if tokens & _COMMAND_WORDS:
-        return f"{quantity}_cmd" if quantity in _COMMANDED_QUANTITIES else ""
-    return quantity
-
-
-def _recognise_unit(quantity: str, name: str) -> str:
-    units = _UNITS.get(quantity, {})
-    words = re.split(r"[^a-z°]+", name.lower())  # keeps "mA" in one word
-    return next((units[word] for word in (*words, *_split_tokens(name)) if word in units), "")
-
-
-def _find_time(table: LogTable) -> str:
+def _find_time(table: LogTable) -> str | tuple[str, str]:
+    pairs = [pair for pair in _find_time_pairs(table) if _rises(table, pair)]
+    if pairs:
+        return min(pairs)
     rising_names = [name for name in _find_time_names(table) if _rises(table, name)]
     if not rising_names:
         raise LogError(
@@ -187,10 +379,25 @@ def _find_time(table: LogTable) -> str:
 
 
 def _find_time_names(table: LogTable) -> list[str]:
-    return [name for name in table.names if _TIME_WORDS & set(_split_tokens(name))]
+    return [
+        name
+        for name in table.names
+        if TIME_WORDS & set(split_tokens(name)) or (read_unit(name) or ("",))[0] == "t"
+    ]
 
 
-def _rises(table: LogTable, name: str) -> bool:
+def _find_time_pairs(table: LogTable) -> list[tuple[str, str]]:
+    """Return columns of whole seconds with columns of the nanoseconds since, as of ROS."""
+    pairs = []
+    for name in table.names:
+        for seconds, nanoseconds in product(_SECONDS_SUFFIXES, _NANOSECONDS_SUFFIXES):
+            if name.endswith(seconds):
+                partner = f"{name.removesuffix(seconds)}{nanoseconds}"
+                pairs += [(name, partner)] if partner in table.names else []
+    return pairs
+
+
+def _rises(table: LogTable, name: str | tuple[str, str]) -> bool:
     try:
         stamps = table.times(name, 1.0, missing=True)
     except LogError:
@@ -199,7 +406,9 @@ def _rises(table: LogTable, name: str) -> bool:
     return len(steps) > 1 and bool(np.mean(steps > 0) > 0.9)
 
 
-def _guess_time_unit(table: LogTable, name: str) -> tuple[str, str]:
+def _guess_time_unit(table: LogTable, name: str | tuple[str, str]) -> tuple[str, str]:
+    if not isinstance(name, str):
+        return "s", f"seconds and nanoseconds: {name[0]}, {name[1]}"
     stamps = table.times(name, 1.0, missing=True)
     period = float(np.median(np.diff(stamps[np.isfinite(stamps)])))
     lowest_rate, highest_rate = _PLAUSIBLE_RATES
@@ -208,9 +417,10 @@ def _guess_time_unit(table: LogTable, name: str) -> tuple[str, str]:
         for candidate, factor in COMMON_UNITS["t"].items()
         if lowest_rate <= 1.0 / max(period * factor, 1e-300) <= highest_rate
     ]
-    named_unit = _recognise_unit("t", name)
+    quantity, unit = read_unit(name) or ("", "")
+    named_unit = (unit or "s") if quantity == "t" else ""
     if named_unit in plausible_units:
-        return named_unit, f"named so: {name}"
+        return str(named_unit), f"named so: {name}"
     if not plausible_units:
         return "s", "no unit gives a plausible sample rate"
     unit = min(

@@ -1,7 +1,7 @@
 """The log format of a robot file."""
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
@@ -65,13 +65,14 @@ OPTIONAL = {"q_cmd": "q_cmd{}", "dq_cmd": "dq_cmd{}", "temperature": "temperatur
 class LogColumns(Config):
     """Column names; `dq = ""` derives velocity, default commands and temperatures are optional.
 
+    `t` may be two columns, of seconds and of the nanoseconds since. `q = ""` integrates velocity.
     `q_link` names encoders behind elastic gears, whose motors then have `q`, divided by the gear.
     A list instead of the table, or `names`, names all columns of files without a header, in order.
     """
 
     names: tuple[str, ...] = ()
-    t: str = "t"
-    q: Columns = "q{}"
+    t: str | tuple[str, str] = "t"
+    q: Annotated[str | tuple[str, ...], AfterValidator(_require_place_unless_empty)] = "q{}"
     dq: Annotated[str | tuple[str, ...], AfterValidator(_require_place_unless_empty)] = "dq{}"
     tau: Columns = "tau{}"
     current: Columns = "i{}"
@@ -84,6 +85,21 @@ class LogColumns(Config):
     @classmethod
     def _wrap_list_of_names(cls, value: Any) -> Any:
         return {"names": value} if isinstance(value, list | tuple) else value
+
+    @property
+    def time_name(self) -> str:
+        """Name of the column of time, of two that of the seconds."""
+        return self.t if isinstance(self.t, str) else self.t[0]
+
+    @model_validator(mode="after")
+    def _require_motion(self) -> Self:
+        if not self.q and not self.dq:
+            raise RuleError(
+                "'q' and 'dq' are both empty; name the columns of one of them",
+                code="log.no_motion",
+                key="q",
+            )
+        return self
 
     @field_validator("names")
     @classmethod

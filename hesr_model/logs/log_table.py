@@ -16,6 +16,7 @@ _MAX_COLUMNS = 10_000
 _MAX_NAMES = 30  # names in a sentence
 _MAX_NAME_LENGTH = 60  # characters of a name
 _UNITS = {"D": 86400.0, "m": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # of times [s]
+_MAX_SECONDS = 9e9  # whose nanoseconds 64 bits hold
 _SINCE_1970 = 1e8  # [s]; larger stamps count from an epoch
 
 
@@ -90,8 +91,11 @@ class LogTable:
         columns = [(name, self._find_column(name)) for name in names]
         return np.column_stack([self._to_floats(*column, missing=missing) for column in columns])
 
-    def times(self, name: str, unit: float, *, missing: bool = False) -> Array:
-        """Return time stamps (N,) [s], given in `unit` [s]; dates from the first one."""
+    def times(self, name: str | tuple[str, str], unit: float, *, missing: bool = False) -> Array:
+        """Return time stamps (N,) [s], given in `unit` [s]; dates from the first one.
+
+        Of two columns, the first one has seconds, the second one nanoseconds since.
+        """
         stamps, unit = self._read_stamps(name, unit, missing)
         first_stamps = stamps
         if self.first_piece is not None:
@@ -104,7 +108,11 @@ class LogTable:
         )
         return np.asarray((stamps - origin) * unit, dtype=float)
 
-    def _read_stamps(self, name: str, unit: float, missing: bool) -> tuple[Any, float]:
+    def _read_stamps(
+        self, name: str | tuple[str, str], unit: float, missing: bool
+    ) -> tuple[Any, float]:
+        if not isinstance(name, str):
+            return self._join_stamps(*name, missing=missing), 1e-9
         cells: Any = self._find_column(name)
         if _find_kind(cells) in "mM":
             unit = _UNITS[np.datetime_data(cells.dtype)[0]]
@@ -113,6 +121,19 @@ class LogTable:
         # Nanoseconds since 1970 exceed the digits of a float: subtract before.
         is_integer = _find_kind(cells) in "iu"
         return (cells if is_integer else self._to_floats(name, cells, missing=missing)), unit
+
+    def _join_stamps(self, seconds: str, nanoseconds: str, *, missing: bool) -> Any:
+        """Return stamps (N,) [ns]; whole numbers stay exact."""
+        columns: list[Any] = [self._find_column(name) for name in (seconds, nanoseconds)]
+        is_exact = all(
+            _find_kind(cells) in "iu" and np.max(np.abs(cells), initial=0) < _MAX_SECONDS
+            for cells in columns
+        )
+        if is_exact:
+            whole_seconds, remainder = (np.asarray(cells, dtype=np.int64) for cells in columns)
+            return whole_seconds * 1_000_000_000 + remainder
+        values = self.numbers((seconds, nanoseconds), missing=missing)
+        return values[:, 0] * 1e9 + values[:, 1]
 
     def _find_column(self, name: str) -> Array | TextCell:
         if name not in self.names:

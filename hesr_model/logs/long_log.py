@@ -234,6 +234,8 @@ class LongLog:
             dropped = len(file_samples.t) - len(samples.t)
             log = replace(log, sha256=self._sha256, dropped=dropped, q_cmd=None, dq_cmd=None)
             self._time = samples.time
+            if samples.q is None and last_log is not None:
+                log = _continue_integral(last_log, log)
             joined_log = log if last_log is None else join_records([last_log, log])
             robot_log.require_increase(
                 joined_log, samples, rows_before=len(joined_log.t) - len(log.t)
@@ -246,6 +248,15 @@ class LongLog:
                 code="log.changed",
                 where=source,
             )
+
+
+def _continue_integral(last_log: Log, log: Log) -> Log:
+    """Return a piece whose integrated position continues from the row before it."""
+    assert last_log.dq is not None
+    assert log.dq is not None
+    stamps = np.concatenate([last_log.t[-1:], log.t[:1]])
+    speeds = np.concatenate([last_log.dq[-1:], log.dq[:1]])
+    return replace(log, q=log.q + last_log.q[-1] + robot_log.integrate_velocity(stamps, speeds)[-1])
 
 
 def _read_state(source: Log | Path) -> tuple[int, int]:

@@ -229,12 +229,15 @@ def convert_samples(path: Path, samples: LogSamples, description: RobotDescripti
         tau, load = description.log.cylinder.forces(samples.effort)
     if temperature is not None:
         temperature = temperature - units.zero_of_temperature
+    dq = convert_signal("dq", samples.dq)
     q = convert_signal("q", samples.q)
+    if q is None:
+        q = integrate_velocity(samples.t, dq)
     return Log(
         name=path.stem,
         t=samples.t,
         q=q,
-        dq=convert_signal("dq", samples.dq),
+        dq=dq,
         q_cmd=convert_signal("q", samples.q_cmd),
         dq_cmd=convert_signal("dq", samples.dq_cmd),
         tau=tau,
@@ -244,6 +247,12 @@ def convert_samples(path: Path, samples: LogSamples, description: RobotDescripti
         path=path,
         robot=description,
     )
+
+
+def integrate_velocity(t: Array, dq: Array) -> Array:
+    """Return positions (N, n) from 0 by the trapezoidal rule, of `dq` (N, n) at `t` (N,) [s]."""
+    changes = 0.5 * (dq[1:] + dq[:-1]) * np.diff(t)[:, None]
+    return np.concatenate([np.zeros((1, dq.shape[1])), np.cumsum(changes, axis=0)])[: len(dq)]
 
 
 def collect_parts(logs: Iterable[Log]) -> list[Log]:

@@ -216,6 +216,6 @@ class RobotDescription(Config):
             **{f"log.cylinder.{k}": v for k, v in self.log.cylinder or () if k != "unit"},
             "sources.torque_per_ampere": self.sources.torque_per_ampere,
             "log.bag.joints": self.log.bag.joints,
-            **{f"log.columns.{k}": v for k, v in self.log.columns if k != "names"},
+            **{f"log.columns.{k}": v for k, v in self.log.columns if k not in ("names", "t")},
             **{f"log.units.{key}": entries for key, entries in self.log.units},
         }

@@ -104,7 +104,7 @@ def test_the_unit_of_time_gives_a_usual_rate(name: str, period: float, unit: str
     [
         ("x,q1,q2", (), 0.0, "log.columns.t"),
         (PLAIN, (), 0.02, "log.columns.t"),  # not in order
-        ("t,tau1,tau2", (), 0.0, "positions of a joint"),
+        ("t,tau1,tau2", (), 0.0, "positions or velocities of a joint"),
         ("t,tau1,tau2", ("a", "b", "c"), 0.0, "all 3 joints"),
     ],
 )

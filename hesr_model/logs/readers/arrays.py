@@ -138,6 +138,6 @@ def _read_head(file: Any) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
 FORMAT = table_format(
     "NumPy file",
     {".npz", ".npy"},
-    lambda path, log_format: load_table(path, log_format.columns.t),
+    lambda path, log_format: load_table(path, log_format.columns.time_name),
     _read_pieces,
 )

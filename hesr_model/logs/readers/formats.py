@@ -26,15 +26,15 @@ def read_samples(table: LogTable, description: RobotDescription) -> LogSamples:
     log_format = description.log
     columns = description.log.columns
     allows_missing = log_format.missing == "drop"
-    if log_format.rate and columns.t not in table.names:
+    if log_format.rate and columns.time_name not in table.names:
         t = (table.rows_before + np.arange(table.rows)) / log_format.rate
         time = f"rate {log_format.rate:g} Hz"
     else:
         t = table.times(
             columns.t, float(log_format.units.factors("t", 1)[0]), missing=allows_missing
         )
-        time = f"column '{columns.t}'"
-    q = _read_joints(table, columns.q, description)
+        time = f"column '{columns.time_name}'"
+    q = _read_joints(table, columns.q, description) if columns.q else None
     dq = _read_joints(table, columns.dq, description) if columns.dq else None
     effort, is_current = _read_effort(table, description)
     return LogSamples(

@@ -54,7 +54,9 @@ def read_hdf5_arrays(path: Path, kind: str, *, transposed: bool = False) -> dict
 
 def _read(path: Path, log_format: LogFormat) -> LogTable:
     require_content(path)
-    return build_array_table(path, read_hdf5_arrays(path, "HDF5 file"), log_format.columns.t)
+    return build_array_table(
+        path, read_hdf5_arrays(path, "HDF5 file"), log_format.columns.time_name
+    )
 
 
 FORMAT = table_format("HDF5 file", {".h5", ".hdf5", ".hdf"}, _read)

@@ -142,5 +142,7 @@ def _read_classic(path: Path) -> dict[str, Array]:
 
 
 FORMAT = table_format(
-    "MATLAB file", {".mat"}, lambda path, log_format: read_matlab(path, time=log_format.columns.t)
+    "MATLAB file",
+    {".mat"},
+    lambda path, log_format: read_matlab(path, time=log_format.columns.time_name),
 )

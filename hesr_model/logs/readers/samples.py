@@ -11,10 +11,13 @@ from hesr_model.support.arrays import Array, get_arrays, select_rows
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LogSamples:
-    """Samples (N,) and (N, n) in the file's units; messages name `time` and `place`."""
+    """Samples (N,) and (N, n) in the file's units; messages name `time` and `place`.
+
+    `q` is None if it is the integral of `dq`.
+    """
 
     t: Array
-    q: Array
+    q: Array | None
     dq: Array | None
     effort: Array
     is_current: bool
