@@ -16,15 +16,15 @@ from cosim.workflow.arguments import (
     read_logs,
     to_optional_path,
 )
-from hesr_model.errors import ArgumentError, HesrError
-from hesr_model.support.files import PathArg, written_together
+from hesr_model.errors import ArgumentError, HesrError, LogError
+from hesr_model.support.files import PathArg, written_together, written_whole
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
     from cosim.report.tables.table import ResultTable
     from cosim.workflow.arguments import Logs, LogSource, Names, RobotArg
     from hesr_model.findings import Finding
-    from hesr_model.health.proposal import Proposal
+    from hesr_model.health.proposal import Proposal, ProposalError
     from hesr_model.rigid_body.torque_constants import TorqueConstant
 
 
@@ -188,7 +188,7 @@ def inspect(
     >>> hesr.inspect("sweep.csv", robot="robot.toml").passed
     True
     """
-    from hesr_model.health.proposal import apply_constants, inspect_logs
+    from hesr_model.health.proposal import ProposalError, apply_constants, inspect_logs
 
     sources = list_logs("logs", logs)
     loaded_sources = list_logs("loaded", loaded)
@@ -201,7 +201,10 @@ def inspect(
         _require_robot_alone(robot, study, torque_constants=torque_constants)
     files = _find_log_files(sources)
     progress("inspecting logs", 0, 1)
-    proposal = inspect_logs(files, robot, names)
+    try:
+        proposal = inspect_logs(files, robot, names)
+    except ProposalError as refusal:
+        raise _write_refused(refusal, write) from refusal
     constants: Sequence[TorqueConstant] = ()
     if torque_constants:
         constants = _estimate_torque_constants(
@@ -269,6 +272,25 @@ def _next_command(write: PathArg | None, study: PathArg | None, *, is_ready: boo
     return f"hesr run {study}" if study else ""
 
 
+def _write_refused(refusal: ProposalError, write: PathArg | None) -> LogError:
+    """Write what is known of a log that cannot be read; return the refusal."""
+    from hesr_model.health.proposal import robot_file
+
+    robot_path = to_optional_path("write", write)
+    keys = list(refusal.proposal.undecided)
+    if robot_path is None or not keys:
+        return refusal
+    with written_whole(robot_path) as temporary:
+        temporary.write_text(robot_file(refusal.proposal, robot_path), encoding="utf-8")
+    return LogError(
+        f"{refusal} {robot_path} is written; complete there {' or '.join(keys)}, which is a "
+        "comment.",
+        code=refusal.code,
+        where=refusal.where,
+        key=refusal.key,
+    )
+
+
 def _write(
     proposal: Proposal, output: PathArg | None, write: PathArg | None, study: PathArg | None
 ) -> tuple[list[Path], str]:
@@ -285,9 +307,15 @@ def _write(
         write_inspection(page_path, proposal)
     if robot_path and study_path:
         from cosim.study.proposal import dry_run, study_file
+        from hesr_model.health.examine import HealthError
 
         try:
             dry_run(proposal)
+        except HealthError as error:
+            # Its advice is for commands that learn from logs.
+            sentences = [f"{finding.sentence} [{finding.check}]" for finding in error.findings]
+            study_path = None
+            failure = " ".join(sentences)
         except HesrError as error:
             study_path = None
             failure = str(error)

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from hesr_model.errors import LogError
 from hesr_model.health.joints import apply_changes
 from hesr_model.logs.guess import ColumnCandidate, guess_columns
 from hesr_model.logs.log_format import LogColumns, LogFormat, LogUnits, column_names
@@ -18,29 +19,38 @@ _PLACEHOLDER_CONSTANT = 1.0  # [N.m/A], marked as guessed
 
 @dataclass(frozen=True, kw_only=True)
 class ColumnProposal:
-    """A description with columns, reasons by key, and all candidates for its torque or current."""
+    """A description with columns, reasons by key, and all candidates for its torque or current.
+
+    `refusal` says why a quantity has no columns.
+    """
 
     description: RobotDescription
     reasons: Mapping[str, str] = field(default_factory=dict)
     efforts: Sequence[ColumnCandidate] = ()
+    refusal: LogError | None = None
 
 
 def propose_columns(table: LogTable, description: RobotDescription) -> ColumnProposal:
     """Guess the columns that a robot file does not state and that a table lacks by default.
 
     Columns with names of the user are kept, also if the table lacks them: reading the log then says
-    which one is missing. Raises LogError if nothing looks like a position, a velocity or time.
+    which one is missing.
     """
     settled = _find_settled(table, description)
     open_quantities = _find_open(description.log, settled)
     if not open_quantities:
         return _add_constants(ColumnProposal(description=description), settled)
-    guess = guess_columns(
-        table,
-        description.joints,
-        timed="t" in open_quantities,
-        stated={quantity: names for quantity, names in settled.items() if quantity != "t"},
-    )
+    stated = {quantity: names for quantity, names in settled.items() if quantity != "t"}
+    refusal = None
+    try:
+        guess = guess_columns(
+            table, description.joints, timed="t" in open_quantities, stated=stated
+        )
+    except LogError as error:
+        if error.code != "log.no_time":
+            return ColumnProposal(description=description, refusal=error)
+        refusal = error
+        guess = guess_columns(table, description.joints, timed=False, stated=stated)
     if "tau" in open_quantities and "tau" in guess.columns:
         open_quantities.remove("current")  # which needs a constant that nobody stated
     wanted = [*open_quantities, *(name for name in _OPTIONAL if name not in settled)]
@@ -62,6 +72,7 @@ def propose_columns(table: LogTable, description: RobotDescription) -> ColumnPro
             description=apply_changes(description, changes),
             reasons=reasons,
             efforts=guess.candidates[effort] if effort else (),
+            refusal=refusal,
         ),
         {**settled, **guessed},
     )

@@ -10,7 +10,7 @@ from hesr_model.errors import ConfigError, FitError, LogError
 from hesr_model.findings import Finding, sort_by_severity
 from hesr_model.fitting.estimator import select_laws
 from hesr_model.friction.model import FrictionModel
-from hesr_model.health import positions
+from hesr_model.health import omissions, positions
 from hesr_model.health import torque as efforts
 from hesr_model.health.evidence import (
     ModelTorques,
@@ -43,6 +43,7 @@ CHECKS = (
     *("velocity-scale", "velocity-lag", "torque-constant", "saturation", "torque-sign"),
     *("torque-scale", "torque-signal", "torque-lag", "torque-limit", "torque-small"),
     *("torque-columns", "position-sign", "joint-order", "zero", "gravity", "gravity-sign"),
+    *("torque-unsigned", "position-integral"),
 )
 
 
@@ -82,11 +83,14 @@ def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | N
     fits_by_part = [fit_joint_torques(part, part_torques) for part, part_torques in logged_sides]
     broken_joints = _collect_joints(hypotheses, ("wrap", "spikes"))
     coarse_joints = _collect_joints(hypotheses, ("coarse",))
-    for part in parts:
+    for k, part in enumerate(parts):
+        part_torques = torques[k] if torques else None
+        for check_omission in (omissions.check_signs, omissions.check_integral):
+            hypotheses += add_log_name(part.log, check_omission(part, part_torques, description))
         hypotheses += add_log_name(
             part.log, check_velocity(part, description, broken_joints, coarse_joints)
         )
-        if robot:
+        if robot and description.log.columns.q:
             hypotheses += add_log_name(part.log, positions.check_limits(part, robot))
             hypotheses += add_log_name(part.log, positions.check_sliding(part, robot))
             hypotheses += add_log_name(part.log, efforts.check_speed(part, robot))
@@ -95,7 +99,9 @@ def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | N
     judgement = judge(hypotheses)
     findings = list(judgement.findings)
     undecided = list(judgement.undecided)
-    if robot and not is_hopeless(findings):
+    # Without its sign, a torque shows neither signs nor scales nor causes.
+    has_signs = all(finding.check != "torque-unsigned" for finding in findings)
+    if robot and has_signs and not is_hopeless(findings):
         for part, (logged_part, part_torques), joint_fits in zip(
             parts, logged_sides, fits_by_part, strict=True
         ):

@@ -1,11 +1,13 @@
 """Proposal of a robot file: guessed from column names, corrected until the checks pass."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import permutations
 from operator import attrgetter
 from os.path import relpath
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,9 +24,11 @@ from hesr_model.health.joints import (
     remove_joints,
     select_joints,
 )
+from hesr_model.health.trials import ReadLogs, try_descriptions
 from hesr_model.health.velocity import match_velocity
-from hesr_model.logs.guess import guess_columns
-from hesr_model.logs.log_format import LogFormat
+from hesr_model.logs.guess import ColumnCandidate, guess_columns
+from hesr_model.logs.kinematics import match_derivative
+from hesr_model.logs.log_format import LogFormat, LogUnits
 from hesr_model.logs.log_table import LogTable
 from hesr_model.logs.readers.formats import find_format
 from hesr_model.logs.robot_log import Log
@@ -44,12 +48,16 @@ _REMEDIES = (
 )  # Words of a refusal, and the key and value of the robot file that remove it
 # Warnings that other findings can hide.
 _HIDEABLE_CHECKS = {*SYMPTOMS, "speed-limit", "velocity-lag"}
+_CHOSEN_BY_TRIAL = ("velocity-lag", "velocity-match")
 _NO_REMEDY = "no change that was tried removes it; check the column, its unit and the model"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Proposal:
-    """A robot description with reasons by key, logs read with it, and findings before changes."""
+    """A robot description with reasons by key, logs read with it, and findings before changes.
+
+    `undecided` are values by key that an edit of the robot file can choose.
+    """
 
     description: RobotDescription
     reasons: Mapping[str, str]
@@ -57,6 +65,27 @@ class Proposal:
     examination: Examination
     first_findings: Sequence[Finding]
     prismatic_joints: frozenset[int] = frozenset()
+    undecided: Mapping[str, "Undecided"] = field(default_factory=dict)
+
+
+class Undecided(NamedTuple):
+    """A value of a robot file that may be right, or an example of it, and why that is open."""
+
+    value: Any
+    reason: str
+
+
+class ProposalError(LogError):
+    """A log that cannot be read yet; `proposal` holds what is known and what must be stated."""
+
+    proposal: Proposal
+
+    @classmethod
+    def from_refusal(cls, refusal: LogError, proposal: Proposal) -> "ProposalError":
+        """Return the refusal of a log with a proposal."""
+        error = cls(str(refusal), code=refusal.code, where=refusal.where, key=refusal.key)
+        error.proposal = proposal
+        return error
 
 
 def inspect_logs(
@@ -119,12 +148,31 @@ def propose(paths: Sequence[Path], description: RobotDescription, *, has_model: 
         )
 
     column_proposal = _propose_columns(paths[0], description, reasons)
-    description, logs, examination = read_and_examine(column_proposal.description)
+    description = column_proposal.description
+    try:
+        if column_proposal.refusal is not None:
+            raise column_proposal.refusal
+        read_logs = partial(_read_changed_logs, paths, reasons)
+        changes, undecided = _choose_effort(
+            column_proposal, read_logs, reasons, has_model=has_model
+        )
+        description, logs, examination = read_and_examine(apply_changes(description, changes))
+    except LogError as error:
+        raise ProposalError.from_refusal(
+            error, _build_refused_proposal(error, description, reasons)
+        ) from error
     first_findings = examination.findings
+    if any(finding.check == "velocity-match" for finding in first_findings):
+        changes, open_choices = _choose_motion(description, read_logs, reasons, has_model=has_model)
+        undecided |= open_choices
+        if changes:
+            description, logs, examination = read_and_examine(apply_changes(description, changes))
     for _ in range(_ROUNDS):
         findings = examination.findings
-        # A velocity that lags may be wanted.
-        candidate_findings = [finding for finding in findings if finding.check != "velocity-lag"]
+        # A velocity that lags may be wanted; one that contradicts its position is a witness.
+        candidate_findings = [
+            finding for finding in findings if finding.check not in _CHOSEN_BY_TRIAL
+        ]
         for target_findings in (candidate_findings, *([finding] for finding in candidate_findings)):
             changes, change_reasons = _merge_changes(description, target_findings)
             attempt = read_and_examine(apply_changes(description, changes)) if changes else None
@@ -161,6 +209,7 @@ def propose(paths: Sequence[Path], description: RobotDescription, *, has_model: 
     remaining_findings = tuple(
         finding
         if not finding.changes
+        or finding.check == "velocity-match"
         or (
             finding.check == "velocity-lag"
             and _is_improvement(
@@ -182,6 +231,7 @@ def propose(paths: Sequence[Path], description: RobotDescription, *, has_model: 
         examination=examination,
         first_findings=first_findings,
         prismatic_joints=frozenset(np.flatnonzero(slides).tolist()),
+        undecided={**undecided, **_find_count_size(examination, description)},
     )
 
 
@@ -200,6 +250,139 @@ def _propose_columns(
     proposal = propose_columns(table, description)
     reasons |= proposal.reasons
     return proposal
+
+
+def _read_changed_logs(
+    paths: Sequence[Path], reasons: Mapping[str, str], description: RobotDescription
+) -> list[Log]:
+    """Read logs with a description that may not become the proposal."""
+    return _read_logs(paths, description, dict(reasons))[1]
+
+
+def _choose_effort(
+    column_proposal: ColumnProposal,
+    read_logs: ReadLogs,
+    reasons: dict[str, str],
+    *,
+    has_model: bool,
+) -> tuple[dict[str, Any], dict[str, Undecided]]:
+    """Choose among columns of a torque or current that which motion and body explain."""
+    candidates = column_proposal.efforts
+    if len(candidates) < 2:
+        return {}, {}
+    trials = try_descriptions(
+        column_proposal.description,
+        [_change_effort(candidate) for candidate in candidates],
+        read_logs,
+        has_model=has_model,
+    )
+    if not trials:
+        return {}, {}
+    best = trials[0]
+    undecided: dict[str, Undecided] = {}
+    key = f"log.columns.{candidates[0].quantity}"
+    for trial in trials[1:]:
+        outcome = trial.race(best)
+        if outcome == "won":
+            best = trial
+            reasons[key] = f"likely: motion explains {trial.changes[key][0]} better than others"
+        elif outcome == "open":
+            reason = f"motion explains {trial.changes[key][0]} a little better, which may be chance"
+            undecided[key] = Undecided(value=trial.changes[key], reason=reason)
+    return dict(best.changes), undecided
+
+
+def _change_effort(candidate: ColumnCandidate) -> dict[str, Any]:
+    changes: dict[str, Any] = {f"log.columns.{candidate.quantity}": candidate.names}
+    default_unit = getattr(LogUnits(), candidate.quantity)
+    return changes | {f"log.units.{candidate.quantity}": candidate.unit or default_unit}
+
+
+def _choose_motion(
+    description: RobotDescription,
+    read_logs: ReadLogs,
+    reasons: dict[str, str],
+    *,
+    has_model: bool,
+) -> tuple[dict[str, Any], dict[str, Undecided]]:
+    """Choose between a position and a velocity that contradict each other, by the torque."""
+    derived = {"log.columns.dq": ""}
+    integrated = {"log.columns.q": ""}
+    trials = try_descriptions(description, [derived, integrated], read_logs, has_model=has_model)
+    names = {"q": "position", "dq": "velocity"}
+    for trial, rival in permutations(trials, 2):
+        if trial.race(rival) == "won":
+            ((key, value),) = trial.changes.items()
+            wrong = key.rpartition(".")[2]
+            right = "q" if wrong == "dq" else "dq"
+            reasons[key] = (
+                f"likely: position and velocity contradict each other, and the torque follows the "
+                f"{names[right]}"
+            )
+            return {key: value}, {}
+    reason = "position and velocity contradict each other, and the torque follows neither more"
+    undecided = {
+        key: Undecided(value=value, reason=reason)
+        for changes in (derived, integrated)
+        for key, value in changes.items()
+    }
+    return {}, undecided
+
+
+def _find_count_size(
+    examination: Examination, description: RobotDescription
+) -> dict[str, Undecided]:
+    """Return the size of an encoder's count, that for which positions agree with velocities."""
+    has_counts = any(
+        finding.check == "coarse" and finding.severity == "error"
+        for finding in examination.findings
+    )
+    if not has_counts:
+        return {}
+    declared_sizes = description.log.units.factors("q", len(description.joints))
+    sizes = list(map(float, declared_sizes))
+    reason = "the size of a count [rad or m]; 2 pi over the counts per turn"
+    for part in examination.parts:
+        if part.dq is None:
+            continue
+        for j in np.flatnonzero(part.is_moving):
+            match = match_derivative(part.t, part.q[:, [j]], part.dq[:, [j]])
+            if match.explains:
+                sizes[j] = float(f"{declared_sizes[j] / match.factor:.6g}")
+                reason = "the size of a count [rad or m], by the velocity"
+    return {"log.units.q": Undecided(value=tuple(sizes), reason=reason)}
+
+
+_EXAMPLE_RATE = 100.0  # [Hz]
+
+
+def _build_refused_proposal(
+    refusal: LogError, description: RobotDescription, reasons: Mapping[str, str]
+) -> Proposal:
+    """Return what is known of a log that cannot be read, and the lines that are missing."""
+    joint_count = len(description.joints)
+    examples: dict[str, dict[str, Any]] = {
+        "log.no_time": {"log.rate": _EXAMPLE_RATE},
+        "log.no_positions": {"log.columns.q": ("COLUMN",) * joint_count},
+        "log.no_torque": {
+            "log.columns.tau": ("COLUMN",) * joint_count,
+            "log.columns.current": ("COLUMN",) * joint_count,
+            "log.torque_per_ampere": (1.0,) * joint_count,
+        },
+        "log.torque_per_ampere": {"log.torque_per_ampere": (1.0,) * joint_count},
+    }
+    reason = str(refusal).split(": ", 1)[-1].rstrip(".")
+    return Proposal(
+        description=description,
+        reasons=reasons,
+        logs=(),
+        examination=Examination(),
+        first_findings=(),
+        undecided={
+            key: Undecided(value=value, reason=reason)
+            for key, value in examples.get(refusal.code, {}).items()
+        },
+    )
 
 
 def _read_logs(
@@ -332,13 +515,20 @@ def apply_constants(proposal: Proposal, constants: Sequence[TorqueConstant]) -> 
 def robot_file(proposal: Proposal, path: Path) -> str:
     """Return the text of a robot file, with reasons."""
     head = "Proposed by 'hesr inspect'. Comments give certainty and reason."
-    return robot_text(proposal.description, path, head, proposal.reasons)
+    return robot_text(proposal.description, path, head, proposal.reasons, proposal.undecided)
 
 
 def robot_text(
-    description: RobotDescription, path: Path, head: str, reasons: Mapping[str, str] | None = None
+    description: RobotDescription,
+    path: Path,
+    head: str,
+    reasons: Mapping[str, str] | None = None,
+    undecided: Mapping[str, Undecided] | None = None,
 ) -> str:
-    """Return the text of a robot file at `path`, with a comment as its head and reasons by key."""
+    """Return the text of a robot file at `path`, with a comment as its head and reasons by key.
+
+    Values that are `undecided` are comments: removing the mark makes one of them the file's.
+    """
     reasons = reasons or {}
     document = description.model_dump()
     non_defaults = description.model_dump(exclude_defaults=True)
@@ -353,9 +543,18 @@ def robot_text(
     ]
     tables = {"log": {k: v for k, v in log_entries.items() if not isinstance(v, dict)}}
     tables |= {f"log.{k}": v for k, v in log_entries.items() if isinstance(v, dict)}
-    for table_name, entries in tables.items():
+    choices: dict[str, dict[str, Undecided]] = {}  # by table
+    for key, choice in (undecided or {}).items():
+        table_name, _, name = key.rpartition(".")
+        choices.setdefault(table_name, {})[name] = choice
+    for table_name in dict.fromkeys((*tables, *choices)):
         entry_lines = [
-            _format_line(k, v, reasons.get(f"{table_name}.{k}", "")) for k, v in entries.items()
+            _format_line(k, v, reasons.get(f"{table_name}.{k}", ""))
+            for k, v in tables.get(table_name, {}).items()
+        ]
+        entry_lines += [
+            f"# {name}: undecided: {choice.reason}\n# {name} = {to_toml(choice.value)}"
+            for name, choice in choices.get(table_name, {}).items()
         ]
         lines += ["", f"[{table_name}]", *entry_lines] if entry_lines else []
     return "\n".join(lines) + "\n"

@@ -1,0 +1,104 @@
+"""What a log leaves out: the sign of a torque, or the position."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from hesr_model.health.evidence import ModelTorques, SmoothPart, friction_shape
+from hesr_model.health.referee import Hypothesis, LeftOutRows, Race
+from hesr_model.robots.robot import RobotDescription
+from hesr_model.support.arrays import Array
+
+_ROUNDS = 8  # after which the signs of a torque do not change any more
+_SIGN_QUANTILES = (0.01, 0.99)
+_MIN_GRAVITY_SHARE = 0.01  # of the torque, above which the zero of a position matters
+
+
+def check_signs(
+    part: SmoothPart, torques: ModelTorques | None, description: RobotDescription
+) -> Iterator[Hypothesis]:
+    """Try the size of a torque for torques that have one sign while the joint moves both ways."""
+    split = LeftOutRows.split([part.log.name], [part.t])
+    for j in np.flatnonzero(part.is_moving & (np.ptp(part.tau, axis=0) > 0.0)):
+        tau = part.tau[:, j]
+        resting_speed = part.find_resting_speed(int(j))
+        v = part.v[:, j]
+        moves_both_ways = v.min() < -resting_speed and v.max() > resting_speed
+        lowest, highest = np.quantile(tau, _SIGN_QUANTILES)  # noise may pass 0
+        if not moves_both_ways or lowest < 0.0 < highest:
+            continue
+        size = np.abs(tau)
+        columns = _build_columns(part, torques, int(j))
+        signed_errors = split.predict(columns, size)
+        size_errors = _predict_size(split, columns, size, v)
+        yield Hypothesis(
+            check="torque-unsigned",
+            joint=description.joints[j],
+            observation="its torque has no sign: it never changes it, though the joint moves both "
+            "ways, and its size follows friction and motion",
+            remedy="HESR needs the sign; log the torque or the current as the drive measures it",
+            trials=(
+                Race(
+                    rival="a torque with its sign",
+                    rival_squares=signed_errors**2,
+                    squares=size_errors**2,
+                ),
+            ),
+            record="slow motion both ways",
+        )
+
+
+def _build_columns(part: SmoothPart, torques: ModelTorques | None, j: int) -> Array:
+    """Return columns (N, K) that explain the torque of a joint, of its model if there is one."""
+    v = part.v[:, j]
+    inertial = part.a[:, j] if torques is None else torques.inertial[:, j]
+    gravity = np.zeros(len(v)) if torques is None else torques.gravity[:, j]
+    columns = np.column_stack([gravity, inertial, friction_shape(v), np.ones(len(v))])
+    return np.asarray(columns[:, np.any(columns != 0.0, axis=0)])
+
+
+def _predict_size(split: LeftOutRows, columns: Array, size: Array, v: Array) -> Array:
+    """Return errors (N,) of the size of a torque, whose signs are those of its prediction.
+
+    The signs begin as those of friction; each fold then alternates between fit and signs.
+    """
+    errors = np.array(size)
+    for judged, trained in zip(split.judged, split.trained, strict=True):
+        if np.count_nonzero(trained) <= columns.shape[1] or not judged.any():
+            continue
+        signs = np.sign(v[trained])
+        for _ in range(_ROUNDS):
+            coefficients = np.linalg.lstsq(columns[trained], signs * size[trained], rcond=None)[0]
+            new_signs = np.sign(columns[trained] @ coefficients)
+            if np.array_equal(new_signs, signs):
+                break
+            signs = new_signs
+        errors[judged] -= np.abs(columns[judged] @ coefficients)
+    return errors
+
+
+def check_integral(
+    part: SmoothPart, torques: ModelTorques | None, description: RobotDescription
+) -> Iterator[Hypothesis]:
+    """Say that positions are integrals, an error where gravity depends on their unknown start."""
+    if description.log.columns.q:
+        return
+    for j in np.flatnonzero(part.is_moving):
+        observation = "its position is not logged; it is the integral of its velocity from 0"
+        gravity = 0.0 if torques is None else float(np.std(torques.gravity[:, j]))
+        needs_start = gravity > _MIN_GRAVITY_SHARE * float(np.std(part.tau[:, j]))
+        if needs_start:
+            yield Hypothesis(
+                check="position-integral",
+                joint=description.joints[j],
+                observation=observation,
+                remedy="its gravity torque depends on where it starts; log its position",
+            )
+        else:
+            yield Hypothesis(
+                check="position-integral",
+                joint=description.joints[j],
+                observation=observation,
+                remedy="what depends on the angle is not learned",
+                severity="warning",
+            )
