@@ -16,7 +16,7 @@ from fmu_src.pages.html import code_templates
 from hesr_model.errors import ArgumentError, ConfigError, RobotError
 from hesr_model.findings import Finding
 from hesr_model.health.proposal import robot_text
-from hesr_model.robots.mjcf import resolve_includes
+from hesr_model.robots.mjcf import copy_model
 from hesr_model.robots.model_file import (
     find_arm,
     find_driven_joints,
@@ -46,7 +46,8 @@ class NewProject:
 def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
     """Create a project folder for `hesr run`; see `hesr.new`.
 
-    The model (URDF, or MJCF as ``.xml``) is copied with its includes, but without meshes.
+    The model (URDF, or MJCF as ``.xml``) is copied with its includes and with the meshes that its
+    masses come from.
     """
     require_new(folder)
     if model.suffix.lower() == ".xacro":
@@ -61,9 +62,10 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
     name = project_name(folder)
     last_suffix = f"..{{}}{len(used_joints)}" if len(used_joints) > 1 else ""
     with folder_written_whole(folder) as temporary:
-        is_mjcf = model.suffix.lower() == ".xml"
-        content = resolve_includes(model) if is_mjcf else model.read_bytes()
-        (temporary / model.name).write_bytes(content)
+        if model.suffix.lower() == ".xml":
+            copy_model(model, temporary)
+        else:
+            (temporary / model.name).write_bytes(model.read_bytes())
         for file in _FILES:
             text = _template(file).render(
                 toml=to_toml,

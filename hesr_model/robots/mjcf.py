@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -140,6 +141,38 @@ def resolve_includes(path: Path) -> bytes:
         return data
     _include(root, path.parent, {path})
     return ElementTree.tostring(root)
+
+
+def copy_model(path: Path, folder: Path) -> None:
+    """Copy an MJCF into a folder, with its includes and the meshes that its masses come from.
+
+    Other meshes, textures and height fields have no effect on torques and are left out.
+    """
+    data = resolve_includes(path)
+    mesh_names = {mesh.name for mesh in _strip_mjcf(path).meshes}
+    root = _parse_root(path, data) if mesh_names else None
+    if root is not None:
+        _copy_meshes(root, path.parent, mesh_names, folder)
+        data = ElementTree.tostring(root)
+    (folder / path.name).write_bytes(data)
+
+
+def _copy_meshes(root: Element, base: Path, mesh_names: set[str], folder: Path) -> None:
+    """Copy meshes next to the copy of their model, whose elements then name them."""
+    copies: dict[Element, Path] = {}
+    for element, file in _find_files(root, base):
+        name = element.get("name", Path(element.get("file", "")).stem)
+        if element.tag == "mesh" and name in mesh_names and file.is_file():
+            element.set("name", name)
+            copies.setdefault(element, file)
+    for number, (element, file) in enumerate(copies.items(), start=1):
+        # Meshes of several folders may have one name; MuJoCo may strip folders from names.
+        copy_name = f"mesh{number}_{file.name}"
+        shutil.copyfile(file, folder / copy_name)
+        element.set("file", copy_name)
+    for compiler in root.iter("compiler"):
+        for kind in ("assetdir", "meshdir"):
+            compiler.attrib.pop(kind, None)
 
 
 def _include(element: Element, base: Path, included: set[Path]) -> None:

@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -15,7 +15,13 @@ from pydantic import BaseModel, PlainSerializer, PlainValidator, TypeAdapter, Va
 from hesr_model.errors import ArtifactError, ConfigError, RuleError
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import written_whole
-from hesr_model.support.text import parse_json, parse_toml, read_text, require_printable
+from hesr_model.support.text import (
+    join_with_and,
+    parse_json,
+    parse_toml,
+    read_text,
+    require_printable,
+)
 
 _MAX_SHOWN = 200  # characters
 _MISSING_KEY = "key.missing"
@@ -113,13 +119,24 @@ def _build_refusal(path: Path, error: ValidationError) -> ConfigError:
     if unknown:
         sentence = f"unknown key '{problem.key}'; {problem.reason}."
     elif problem.code == _MISSING_KEY:
-        sentence = f"key '{problem.key}' is missing."
+        sentence = _report_missing_keys(problems)
     elif isinstance(details["input"], dict):
         table = f"table '{problem.place}': " if problem.place else ""
         sentence = f"{table}{problem.reason}."
     else:
         sentence = f"key '{problem.place}' is {_shorten(details['input'])}: {problem.reason}."
     return ConfigError(f"{path}: {sentence}", code=problem.code, where=path, key=problem.key)
+
+
+def _report_missing_keys(problems: Sequence[Any]) -> str:
+    """Name all missing keys, so that one edit adds them."""
+    keys = [
+        f"'{problem.key}'"
+        for problem in map(_describe_problem, problems)
+        if problem.code == _MISSING_KEY
+    ]
+    subject = f"key {keys[0]} is" if len(keys) == 1 else f"keys {join_with_and(keys)} are"
+    return f"{subject} missing."
 
 
 def _shorten(value: object) -> str:
