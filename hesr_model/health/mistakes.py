@@ -5,7 +5,6 @@ non-negative, so wrong signs and swapped columns fit badly. The best one races a
 it is, on left-out rows, and must not move a joint beyond its limits.
 """
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -82,20 +81,18 @@ def generate_mistakes(rows: SupposedRows, robot: Robot, is_moving: Mask) -> Iter
     description = robot.description
     joints = [int(j) for j in np.flatnonzero(is_moving)]
     if len(joints) > 1:
-        key, changes = find_sign_change(description, None, position=False)
-        remedy = f"all torques count backwards; set {key}"
+        changes = find_sign_change(description, None, position=False)
         corrected = replace(rows, tau=-rows.tau)
-        yield Mistake("torque-sign", -1, remedy, changes, corrected)
+        yield Mistake("torque-sign", -1, "all torques count backwards", changes, corrected)
     for j in joints:
-        key, changes = find_sign_change(description, j, position=False)
-        position_key, position_changes = find_sign_change(description, j, position=True)
+        changes = find_sign_change(description, j, position=False)
+        position_changes = find_sign_change(description, j, position=True)
         signs = np.where(np.arange(robot.n) == j, -1.0, 1.0)
         q, v, a, tau = (signal * signs for signal in (rows.q, rows.v, rows.a, rows.tau))
-        remedy = f"{_BACKWARDS}; set {key}"
-        yield Mistake("torque-sign", j, remedy, changes, replace(rows, tau=tau))
-        remedy = f"its position and velocity count backwards; set {position_key}"
+        yield Mistake("torque-sign", j, _BACKWARDS, changes, replace(rows, tau=tau))
+        remedy = "its position and velocity count backwards"
         yield Mistake("position-sign", j, remedy, position_changes, replace(rows, q=q, v=v, a=a))
-        remedy = f"its position, velocity and torque count backwards; set {position_key}, and {key}"
+        remedy = "its position, velocity and torque count backwards"
         corrected = replace(rows, q=q, v=v, a=a, tau=tau)
         yield Mistake("position-sign", j, remedy, position_changes | changes, corrected)
     for generate in (_swap_torques, _swap_joints, _estimate_gravity, _move_zeros):
@@ -110,10 +107,7 @@ def _swap_torques(rows: SupposedRows, robot: Robot, joints: list[int]) -> Iterat
     for a, b in combinations(joints, 2):
         order = _swap_order(robot.n, a, b)
         swapped_columns = tuple(columns[k] for k in order)
-        remedy = (
-            f"its torque is swapped with that of joint '{description.joints[b]}'; set "
-            f"[log.columns] {column_key} = {json.dumps(swapped_columns)}"
-        )
+        remedy = f"its torque is swapped with that of joint '{description.joints[b]}'"
         corrected = replace(rows, tau=rows.tau[:, order] / gains[order] * gains)
         yield Mistake(
             "torque-columns", a, remedy, {f"log.columns.{column_key}": swapped_columns}, corrected
@@ -134,14 +128,10 @@ def _swap_joints(rows: SupposedRows, robot: Robot, joints: list[int]) -> Iterato
             for key, columns in description.log.columns
             if key != "t" and columns and columns != OPTIONAL.get(key)
         }
-        cause = (
+        remedy = (
             "the columns are in another order than the joints"
             if a < 0
             else f"its columns are swapped with those of joint '{description.joints[b]}'"
-        )
-        remedy = (
-            f"{cause}; set [log.columns] q = {json.dumps(changes['log.columns.q'])}, and the "
-            "others accordingly"
         )
         swapped_signals = {k: getattr(rows, k)[:, order] for k in ("q", "v", "a", "tau")}
         yield Mistake("joint-order", a, remedy, dict(changes), replace(rows, **swapped_signals))
@@ -157,10 +147,7 @@ def _move_zeros(rows: SupposedRows, robot: Robot, joints: list[int]) -> Iterator
             zero[j] += quarter * np.pi / 2.0
             q = rows.q.copy()
             q[:, j] += quarter * np.pi / 2.0
-            remedy = (
-                f"its zero is {90 * quarter} degrees from the model's; set [log] zero = "
-                f"[{', '.join(f'{z:.6g}' for z in zero)}]"
-            )
+            remedy = f"its zero is {90 * quarter} degrees from the model's"
             yield Mistake("zero", j, remedy, {"log.zero": tuple(zero)}, replace(rows, q=q))
 
 
@@ -212,8 +199,7 @@ def _estimate_gravity(rows: SupposedRows, robot: Robot, joints: list[int]) -> It
     )
     if not np.any(declared_gravity):
         mismatch = "as none"
-    gravity_text = ", ".join(f"{g:g}" for g in gravity)
-    remedy = f"gravity is declared {mismatch}; set gravity = [{gravity_text}]"
+    remedy = f"gravity is declared {mismatch}"
     corrected = replace(rows, gravity=np.array(gravity))
     yield Mistake("gravity", -1, remedy, {"gravity": gravity}, corrected)
 
@@ -356,10 +342,8 @@ def _find_best_mistake(
             and best_mistake.joint == mistake.joint
             and float(gain.sum()) * _MIN_GAIN_OVER_SIMPLER > best_gain
         ):
-            alternative = (
-                f"{_BACKWARDS}, or its position and velocity do (the logs cannot show which);"
-            )
-            remedy = best_mistake.remedy.replace(f"{_BACKWARDS};", alternative)
+            doubt = ", or its position and velocity do (the logs cannot show which)"
+            remedy = best_mistake.remedy.replace(_BACKWARDS, f"{_BACKWARDS}{doubt}")
             best_mistake = replace(best_mistake, remedy=remedy)
     return best_mistake, best_share
 

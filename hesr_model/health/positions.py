@@ -79,7 +79,7 @@ def _doubt_unit_of_time(period: float, description: RobotDescription) -> Hypothe
     )
     remedy = "the unit of time is wrong; see [log.units] t"
     if plausible_units:
-        remedy = f"time is in {plausible_units[0]}; set [log.units] t = '{plausible_units[0]}'"
+        remedy = f"time is in {plausible_units[0]}"
     return Hypothesis(
         check="time-unit",
         joint="",
@@ -244,7 +244,7 @@ def check_limits(part: SmoothPart, robot: Robot) -> Iterator[Hypothesis]:
                 "motor per turn of each joint as 'matrix' in [transmission], with logs = 'motor'"
             )
         elif suggests_degrees:
-            remedy = "q is in degrees; set [log.units] q = 'deg'"
+            remedy = "q is in degrees"
             changes = {"log.units.q": _correct_degrees(description, is_rotary)}
         elif is_impossible:
             remedy = "its unit, its zero or its column is wrong, or the model's limits are"
@@ -279,7 +279,7 @@ def check_sliding(part: SmoothPart, robot: Robot) -> Iterator[Hypothesis]:
         changes = {"log.units.q": "mm"} if is_only_unit else {}
         if changes and part.dq is not None:
             changes["log.units.dq"] = "mm/s"
-        remedy = "q is in mm; set [log.units] q = 'mm'" if is_only_unit else "see the units of q"
+        remedy = "q is in mm" if is_only_unit else "see the units of q"
         yield Hypothesis(
             check="sliding-unit",
             joint=robot.joints[j],

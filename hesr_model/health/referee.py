@@ -24,6 +24,7 @@ from hesr_model.findings import Finding, Severity
 from hesr_model.fitting.joint_rows import non_negative_least_squares
 from hesr_model.inference.folds import FOLD_COUNT, mask_rows
 from hesr_model.support.arrays import Array, Mask
+from hesr_model.support.text import format_settings
 
 MATERIAL_GAIN = 0.1  # share of the squared errors that a statement must explain
 CURE_GAIN = 0.5  # and one that changes the robot file, which other faults could imitate
@@ -31,6 +32,7 @@ _BLOCKS = 20  # of time, whose scatter is the uncertainty of a race; 4 in each f
 # Blocks measure the scatter of errors; standard errors of a fit assume a model of their noise.
 _RACE_ERRORS = 3.0
 _STATISTIC_ERRORS = 5.0
+_MAX_SETTINGS_LENGTH = 300  # characters of lines that a sentence quotes
 
 Outcome = Literal["won", "lost", "open"]
 
@@ -196,9 +198,19 @@ def _state(hypothesis: Hypothesis) -> Finding:
         joints=_name_joints(hypothesis),
         logs=hypothesis.logs,
         found=hypothesis.observation,
-        remedy=hypothesis.remedy,
+        remedy=_add_settings(hypothesis.remedy, hypothesis.changes),
         changes=hypothesis.changes,
     )
+
+
+def _add_settings(remedy: str, changes: Mapping[str, Any]) -> str:
+    """Add the lines of a robot file that make the changes, unless they are many names."""
+    if not changes:
+        return remedy
+    settings = format_settings(changes)
+    if len(settings) > _MAX_SETTINGS_LENGTH:
+        settings = f"{', '.join(changes)} as 'hesr inspect --write' does"
+    return f"{remedy}; set {settings}"
 
 
 def _doubt(hypothesis: Hypothesis) -> Finding:

@@ -24,7 +24,6 @@ from hesr_model.health.referee import (
     Race,
     Statistic,
 )
-from hesr_model.health.velocity import join_units
 from hesr_model.logs.rest import find_resting_speeds, moves_both_ways
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot, RobotDescription
@@ -290,7 +289,7 @@ def _doubt_sign(
         )
     follows_gravity = fit.bears_gravity and fit.gravity.t > _SIGNIFICANCE
     subject = "position and velocity count" if follows_gravity else "torque counts"
-    key, changes = find_sign_change(description, j, position=follows_gravity)
+    changes = find_sign_change(description, j, position=follows_gravity)
     unit = unit_of_joint("N.m", is_prismatic=robot.slides[j])
     alternative = "" if fit.bears_gravity else ", or its position and velocity do"
     yield Hypothesis(
@@ -299,7 +298,7 @@ def _doubt_sign(
         observation="its torque drives the motion where friction should brake it "
         f"({fit.friction.value:.3g} {unit} along the velocity, {abs(fit.friction.t):.0f} "
         "standard errors)",
-        remedy=f"its {subject} backwards{alternative}; set {key}",
+        remedy=f"its {subject} backwards{alternative}",
         trials=tuple(trials),
         record=_TELLING_MOTION,
         changes=changes,
@@ -308,7 +307,7 @@ def _doubt_sign(
 
 def find_sign_change(
     description: RobotDescription, j: int | None, *, position: bool
-) -> tuple[str, dict[str, object]]:
+) -> dict[str, object]:
     """Return the change that reverses a torque or position; `j` None means all."""
     n = len(description.joints)
 
@@ -316,28 +315,13 @@ def find_sign_change(
         units = description.log.units.expand_per_joint(key, n)
         return tuple(reverse_unit(unit) if j in (k, None) else unit for k, unit in enumerate(units))
 
-    example_joint = j or 0
-    qualifier = "" if j is None else " of it"
     if position:
-        changes: dict[str, object] = {f"log.units.{k}": reverse_units(k) for k in ("q", "dq")}
-        return (
-            f"[log.units] q and dq{qualifier} with a '-', as {reverse_units('q')[example_joint]!r}",
-            changes,
-        )
+        return {f"log.units.{key}": reverse_units(key) for key in ("q", "dq")}
     gains = description.log.torque_per_ampere
     if gains is None:
-        units = reverse_units("tau")
-        return f"[log.units] tau{qualifier} to {units[example_joint]!r}", {"log.units.tau": units}
+        return {"log.units.tau": reverse_units("tau")}
     reversed_gains = tuple(-gain if j in (k, None) else gain for k, gain in enumerate(gains))
-    gain_text = (
-        f"{reversed_gains[j]:g}"
-        if j is not None
-        else f"[{', '.join(f'{gain:g}' for gain in reversed_gains)}]"
-    )
-    possessive = "its " if j is not None else ""
-    return f"{possessive}torque_per_ampere to {gain_text}", {
-        "log.torque_per_ampere": reversed_gains
-    }
+    return {"log.torque_per_ampere": reversed_gains}
 
 
 def _doubt_scale(
@@ -452,13 +436,10 @@ def _explain_scale(
         direction = "small" if scale < 1 else "large"
         return f"its torque_per_ampere is about {rounded_factor:g} times too {direction}", {}
     if scale > 100:
-        return "torque is in mN.m; set [log.units] tau = 'mN.m'", {"log.units.tau": "mN.m"}
+        return "torque is in mN.m", {"log.units.tau": "mN.m"}
     gear_ratios = description.gear_ratio
     if gear_ratios and 1 / _MAX_SCALE < scale * gear_ratios[j] < _MAX_SCALE:
-        cause = "it is the motor torque before the gear"
-        return f"{cause}; set [log.units] tau = {join_units(gear_ratios)}", {
-            "log.units.tau": gear_ratios
-        }
+        return "it is the motor torque before the gear", {"log.units.tau": gear_ratios}
     if is_everywhere and scale < 1:
         remedy = "the column contains currents [A] or motor torques; name it under [log.columns] "
         return f"{remedy}current and give torque_per_ampere", {}

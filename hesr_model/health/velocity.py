@@ -1,6 +1,6 @@
 """Velocity checks against the derivative of the position: units, signs, columns, lag."""
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,7 +32,7 @@ _MAX_LAG = 0.3  # largest lag searched [s]
 _MAX_ARM_TRAVEL = 4.0 * np.pi  # largest travel of an arm's joint [rad]
 _MAX_RATE_FACTOR = 5.0  # of a wrong sample rate; beyond, a gear is as likely
 _BLOCKS = 20  # of time, left out in turn
-_DERIVE_REMEDY = 'set [log.columns] dq = "" to derive it from the position'
+_DERIVE_REMEDY = "derive it from the position"
 _TELLING_MOTION = "motion that reverses, at several speeds"
 
 
@@ -262,7 +262,6 @@ def _doubt_column(
     if other_joint != j:
         columns = column_names(description.log.columns.dq, description.joints)
         ordered_columns = [columns[column_of_joint.get(k, k)] for k in range(len(columns))]
-        quoted_columns = ", ".join(f'"{column}"' for column in ordered_columns)
         own_squares, other_squares = (
             left_out.predict(dq[:, [column]], v[:, j]) ** 2 for column in (j, other_joint)
         )
@@ -270,8 +269,7 @@ def _doubt_column(
             check="velocity-columns",
             joint=joint,
             observation=observation,
-            remedy=f"its velocity is in the column of joint '{description.joints[other_joint]}'; "
-            f"set [log.columns] dq = [{quoted_columns}]",
+            remedy=f"its velocity is in the column of joint '{description.joints[other_joint]}'",
             trials=(
                 mismatch,
                 Race(
@@ -359,8 +357,7 @@ def _doubt_sign(
         check="velocity-sign",
         joint=description.joints[j],
         observation=f"its position falls where its velocity is positive (slope {match.slope:.2f})",
-        remedy=f"velocity or position counts backwards; set [log.units] dq = {join_units(units)}, "
-        "or q accordingly",
+        remedy="velocity or position counts backwards",
         trials=(
             Race(
                 rival="its sign as it is",
@@ -429,14 +426,11 @@ def _find_cause(
         # q' = q f scales the derivative of the position by f, dq' = dq f the logged velocity.
         needed_factor = 1.0 / ratio if quantity == "q" else ratio
         for unit in _find_units(units, quantity, j, joint_count, needed_factor):
-            remedy = f"{quantity} is in {unit}; set [log.units] {quantity} = '{unit}'"
+            remedy = f"{quantity} is in {unit}"
             if are_alike or len(matches) == 1:
                 return remedy, {f"log.units.{quantity}": unit}
             joint_units = list(units.expand_per_joint(quantity, joint_count))
             joint_units[j] = unit
-            remedy = (
-                f"{quantity} is in {unit}; set [log.units] {quantity} = {join_units(joint_units)}"
-            )
             return remedy, {f"log.units.{quantity}": tuple(joint_units)}
     gear_ratio = description.gear_ratio[j] if description.gear_ratio else 1.0
     for quantity, remaining_factor in (
@@ -445,11 +439,7 @@ def _find_cause(
         if abs(np.log(remaining_factor)) < _FACTOR_TOLERANCE:
             joint_units = [*units.expand_per_joint(quantity, joint_count)]
             joint_units[j] = float(f"{units.factors(quantity, joint_count)[j] / gear_ratio:.6g}")
-            remedy = (
-                f"{quantity} belongs to the motor; set [log.units] {quantity} = "
-                f"{join_units(joint_units)}"
-            )
-            return remedy, {f"log.units.{quantity}": tuple(joint_units)}
+            return f"{quantity} belongs to the motor", {f"log.units.{quantity}": tuple(joint_units)}
     if are_alike:
         ratio = float(np.median([abs(other.slope) for other in matches.values()]))
         stated_factor = float(units.factors("t", 1)[0])
@@ -457,7 +447,7 @@ def _find_cause(
             if abs(np.log(ratio * stated_factor / factor)) < _FACTOR_TOLERANCE and (
                 is_plausible_period(part.log.period * factor / stated_factor)
             ):
-                return f"time is in {unit}; set [log.units] t = '{unit}'", {"log.units.t": unit}
+                return f"time is in {unit}", {"log.units.t": unit}
         if max(ratio, 1.0 / ratio) < _MAX_RATE_FACTOR:
             return (
                 f"all joints agree: time stamps run {1 / ratio:.2g} times as fast as time (wrong "
@@ -487,10 +477,3 @@ def _find_units(
     for unit, factor in REVOLUTE_UNITS[quantity].items():
         if abs(np.log(abs(factor / declared_factor) / needed_factor)) < _FACTOR_TOLERANCE:
             yield f"-{unit}" if declared_factor < 0 else unit
-
-
-def join_units(units: Sequence[str | float]) -> str:
-    """Return one unit, or one per joint, as in a robot file."""
-    if len(set(units)) == 1:
-        return repr(units[0])
-    return f"[{', '.join(repr(unit) for unit in units)}]"

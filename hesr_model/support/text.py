@@ -2,8 +2,9 @@
 
 import json
 import os
+import re
 import tomllib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -53,6 +54,18 @@ def join_few(words: Iterable[str], max_count: int = 5) -> str:
     words = list(words)
     ending = f" and {len(words) - max_count} more" if len(words) > max_count else ""
     return f"{', '.join(words[:max_count])}{ending}"
+
+
+def format_settings(changes: Mapping[str, Any]) -> str:
+    """Return values by key of a TOML file as its lines: "[log.units] q = 'deg' and gravity = 1"."""
+    lines = []
+    for key, value in changes.items():
+        table, _, name = key.rpartition(".")
+        header = f"[{table}] " if table else ""
+        # Literal strings of TOML read better within a sentence.
+        text = re.sub(r'"([^"\\\']*)"', r"'\1'", to_toml(value))
+        lines.append(f"{header}{name} = {text}")
+    return join_with_and(lines)
 
 
 def to_toml(value: Any) -> str:

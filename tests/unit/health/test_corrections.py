@@ -61,7 +61,7 @@ SIGNS: dict[str, tuple[dict[str, object], int | None, bool, dict[str, tuple[obje
 @pytest.mark.parametrize("case", SIGNS)
 def test_a_sign_is_corrected_in_the_unit_that_is_declared(case: str, arm: RobotDescription) -> None:
     units, joint, position, changes = SIGNS[case]
-    assert find_sign_change(with_units(arm, **units), joint, position=position)[1] == changes
+    assert find_sign_change(with_units(arm, **units), joint, position=position) == changes
 
 
 def test_changes_of_several_findings_are_combined(arm: RobotDescription) -> None:

@@ -112,7 +112,7 @@ MISTAKES: dict[str, tuple[Mistake, str, tuple[str, ...], str]] = {
     ),
     "torque of j2 backwards": (
         lambda log: replace(log, tau=column(log.tau, 1, -1.0)), "torque-sign", ("j2",),
-        r"drives the motion .* torque counts backwards; set \[log\.units\] tau of it to '-N\.m'",
+        r"drives the motion .* torque counts backwards; set \[log\.units\] tau = \['N\.m', '-N",
     ),
     "torque of j1 backwards, without gravity": (
         lambda log: replace(log, tau=column(log.tau, 0, -1.0)), "torque-sign", ("j1",),
@@ -192,7 +192,7 @@ MISTAKES: dict[str, tuple[Mistake, str, tuple[str, ...], str]] = {
     ),
     "all torques backwards": (
         lambda log: replace(log, tau=-log.tau), "torque-sign", (),
-        r"all torques count backwards; set \[log\.units\] tau to '-N\.m'",
+        r"all torques count backwards; set \[log\.units\] tau = \['-N\.m', '-N",
     ),
     "all of j2 backwards": (
         lambda log: replace(
