@@ -417,7 +417,7 @@ def _doubt_body(body: RigidBody, robot: Robot) -> Iterator[Hypothesis]:
         example = f"{lowest_eigenvalue:.2g}, for instance at q = {positions_text}"
         remedy = "the identified masses are not physically possible; use longer or faster logs"
         if not robot.description.known:  # which exclude it
-            remedy += ", or --body physical"
+            remedy += ", or --body physical of 'hesr identify', body = 'physical' of a study"
         yield Hypothesis(
             check="mass-matrix",
             joint=joints[j],

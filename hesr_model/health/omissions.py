@@ -4,11 +4,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hesr_model.health.evidence import ModelTorques, SmoothPart, friction_shape
+from hesr_model.health.evidence import ModelTorques, SmoothPart
 from hesr_model.health.referee import Hypothesis, LeftOutRows, Race
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.arrays import Array
 
+_MIN_GAIN = 0.02  # sizes of Coulomb friction differ from a constant near reversals only
+_KNEE_SHARES = (0.003, 0.01, 0.03, 0.1)  # speeds, over the peak, up to which friction rises
 _ROUNDS = 8  # after which the signs of a torque do not change any more
 _SIGN_QUANTILES = (0.01, 0.99)
 _MIN_GRAVITY_SHARE = 0.01  # of the torque, above which the zero of a position matters
@@ -28,32 +30,50 @@ def check_signs(
         if not moves_both_ways or lowest < 0.0 < highest:
             continue
         size = np.abs(tau)
-        columns = _build_columns(part, torques, int(j))
-        signed_errors = split.predict(columns, size)
-        size_errors = _predict_size(split, columns, size, v)
+        # How fast friction reverses is unknown, and a size shows little else of Coulomb friction.
+        candidates = [
+            _build_columns(part, torques, int(j), knee_share) for knee_share in _KNEE_SHARES
+        ]
+        signed_squares = min(
+            (split.predict(columns, size) ** 2 for columns in candidates), key=np.sum
+        )
+        size_squares = min(
+            (_predict_size(split, columns, size, v) ** 2 for columns in candidates), key=np.sum
+        )
+        rivals = {
+            "a torque with its sign": signed_squares,
+            "a constant": (size - np.mean(size)) ** 2,
+        }
         yield Hypothesis(
             check="torque-unsigned",
             joint=description.joints[j],
             observation="its torque has no sign: it never changes it, though the joint moves both "
             "ways, and its size follows friction and motion",
             remedy="HESR needs the sign; log the torque or the current as the drive measures it",
-            trials=(
+            trials=tuple(
                 Race(
-                    rival="a torque with its sign",
-                    rival_squares=signed_errors**2,
-                    squares=size_errors**2,
-                ),
+                    rival=rival,
+                    rival_squares=rival_squares,
+                    squares=size_squares,
+                    min_gain=_MIN_GAIN,
+                )
+                for rival, rival_squares in rivals.items()
             ),
             record="slow motion both ways",
         )
 
 
-def _build_columns(part: SmoothPart, torques: ModelTorques | None, j: int) -> Array:
+def _build_columns(
+    part: SmoothPart, torques: ModelTorques | None, j: int, knee_share: float
+) -> Array:
     """Return columns (N, K) that explain the torque of a joint, of its model if there is one."""
     v = part.v[:, j]
     inertial = part.a[:, j] if torques is None else torques.inertial[:, j]
     gravity = np.zeros(len(v)) if torques is None else torques.gravity[:, j]
-    columns = np.column_stack([gravity, inertial, friction_shape(v), np.ones(len(v))])
+    peak = float(np.max(np.abs(v))) or 1.0
+    # Coulomb and viscous friction, each with a coefficient: sizes tell them apart.
+    friction = [np.tanh(v / (knee_share * peak)), v / peak]
+    columns = np.column_stack([gravity, inertial, *friction, np.ones(len(v))])
     return np.asarray(columns[:, np.any(columns != 0.0, axis=0)])
 
 

@@ -26,9 +26,10 @@ from hesr_model.health.joints import (
 )
 from hesr_model.health.trials import ReadLogs, try_descriptions
 from hesr_model.health.velocity import match_velocity
+from hesr_model.logs.csv_text import HeaderError
 from hesr_model.logs.guess import ColumnCandidate, guess_columns
 from hesr_model.logs.kinematics import match_derivative
-from hesr_model.logs.log_format import LogFormat, LogUnits
+from hesr_model.logs.log_format import LogFormat, LogUnits, column_names
 from hesr_model.logs.log_table import LogTable
 from hesr_model.logs.readers.formats import find_format
 from hesr_model.logs.robot_log import Log
@@ -103,7 +104,13 @@ def inspect_logs(
         )
         return _add_doubts(proposal, {"joints": f"likely: {reason}"} if reason else {})
     stated_description = None if robot is None or is_model_path(robot) else to_description(robot)
-    table = open_table(paths[0], stated_description.log if stated_description else LogFormat())
+    try:
+        table = open_table(paths[0], stated_description.log if stated_description else LogFormat())
+    except HeaderError as error:
+        if robot is None:
+            raise
+        proposal = _build_refused_proposal(error, to_description(robot), {})
+        raise ProposalError.from_refusal(error, proposal) from error
     if robot is not None:
         description = select_joints(robot, joints, table)
         reason = ""
@@ -356,13 +363,37 @@ def _find_count_size(
 _EXAMPLE_RATE = 100.0  # [Hz]
 
 
+def _estimate_rate(path: Path, description: RobotDescription) -> float:
+    """Return the rate [Hz] at which positions change as velocities say, or an example."""
+    columns = description.log.columns
+    units = description.log.units
+    joints = description.joints
+    table = open_table(path, description.log)
+    names = {
+        key: column_names(getattr(columns, key), joints) if getattr(columns, key) else []
+        for key in ("q", "dq")
+    }
+    if table is None or not all(names.values()):
+        return _EXAMPLE_RATE
+    try:
+        q, dq = (
+            table.numbers(names[key], missing=True) * units.factors(key, len(joints))
+            for key in ("q", "dq")
+        )
+    except LogError:
+        return _EXAMPLE_RATE
+    match = match_derivative(np.arange(table.rows, dtype=float), q, dq)
+    if not (match.explains and match.factor > 0.0):
+        return _EXAMPLE_RATE
+    return float(f"{1.0 / match.factor:.3g}")
+
+
 def _build_refused_proposal(
     refusal: LogError, description: RobotDescription, reasons: Mapping[str, str]
 ) -> Proposal:
     """Return what is known of a log that cannot be read, and the lines that are missing."""
     joint_count = len(description.joints)
     examples: dict[str, dict[str, Any]] = {
-        "log.no_time": {"log.rate": _EXAMPLE_RATE},
         "log.no_positions": {"log.columns.q": ("COLUMN",) * joint_count},
         "log.no_torque": {
             "log.columns.tau": ("COLUMN",) * joint_count,
@@ -371,6 +402,10 @@ def _build_refused_proposal(
         },
         "log.torque_per_ampere": {"log.torque_per_ampere": (1.0,) * joint_count},
     }
+    if refusal.code == "log.no_time":
+        examples[refusal.code] = {"log.rate": _estimate_rate(Path(refusal.where), description)}
+    if isinstance(refusal, HeaderError):
+        examples[refusal.code] = {"log.columns": refusal.suggestion}
     reason = str(refusal).split(": ", 1)[-1].rstrip(".")
     return Proposal(
         description=description,

@@ -30,6 +30,7 @@ from hesr_model.logs.log_table import (
     require_columns,
 )
 from hesr_model.support.arrays import Array
+from hesr_model.support.text import format_settings
 
 _MAX_CSV = 2**31 - 2  # bytes
 _MAX_LINE_LENGTH = 2**24  # characters
@@ -55,6 +56,12 @@ _UNPACKERS: Mapping[bytes, Callable[[Path], io.BufferedIOBase]] = {
     b"BZh": bz2.BZ2File,
     b"\xfd7zXZ": lzma.LZMAFile,
 }
+
+
+class HeaderError(LogError):
+    """A table without names; `suggestion` has a name for each of its columns."""
+
+    suggestion: tuple[str, ...] = ()
 
 
 def read_text(path: Path, names: Sequence[str] = (), content: bytes | None = None) -> LogTable:
@@ -222,14 +229,26 @@ def _build_headerless_error(path: Path, row: Sequence[str], names: Sequence[str]
             where=path,
             key="log.columns.names",
         )
-    return LogError(
+    suggestion = _suggest_names(len(row))
+    error = HeaderError(
         f"{path}: has no header, its first row is {join_names(row)}; name its {len(row)} "
-        "columns under 'log.columns' of the robot file, such as columns = ['t', 'q1', 'dq1', "
-        "'tau1'].",
+        f"columns in the robot file, such as {format_settings({'log.columns': suggestion})}.",
         code="log.no_header",
         where=path,
         key="log.columns.names",
     )
+    error.suggestion = suggestion
+    return error
+
+
+def _suggest_names(count: int) -> tuple[str, ...]:
+    """Return names for columns of time, positions, velocities and torques, if that may be so."""
+    for quantities in (("q", "dq", "tau"), ("q", "tau")):
+        joint_count, remainder = divmod(count - 1, len(quantities))
+        if joint_count > 0 and remainder == 0:
+            numbered = [f"{name}{k}" for name in quantities for k in range(1, joint_count + 1)]
+            return ("t", *numbered)
+    return ("t", *(f"c{k}" for k in range(1, count)))
 
 
 def _is_data(line: str, delimiter: str) -> bool:

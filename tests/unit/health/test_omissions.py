@@ -1,0 +1,104 @@
+"""Torques without a sign and logs without a position are named, and nothing is built on them."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rotor import describe_rotor, signals
+
+from hesr_model.health.examine import HealthError, check_logs, examine
+from hesr_model.health.joints import apply_changes
+from hesr_model.logs.long_log import LongLog
+from hesr_model.logs.robot_log import Log
+from hesr_model.robots.robot import Robot, RobotDescription
+
+SIGNALS = signals(30.0)
+
+
+def log_torque(tau: np.ndarray, q: np.ndarray | None = None) -> Log:
+    q = SIGNALS["q"] if q is None else q
+    dq = np.gradient(q, SIGNALS["t"])
+    columns = (values[:, None] for values in (q, dq, tau))
+    return Log(name="run", t=SIGNALS["t"], **dict(zip(("q", "dq", "tau"), columns, strict=True)))
+
+
+def find_checks(log: Log, description: RobotDescription, *, has_model: bool = True) -> set[str]:
+    robot = Robot(description) if has_model else None
+    return {finding.check for finding in examine([log], description, robot).findings}
+
+
+NOISE = 0.02 * np.random.default_rng(1).standard_normal(SIGNALS["t"].size)
+PUSHED = 0.3 * np.tanh(SIGNALS["dq"] / 0.05) + NOISE
+# Torque, and whether it has lost its sign.
+TORQUES: dict[str, tuple[np.ndarray, bool]] = {
+    "size": (np.abs(SIGNALS["tau"]), True),
+    "size of a current that counts backwards": (-np.abs(SIGNALS["amperes"]), True),
+    "size and noise": (np.abs(SIGNALS["tau"]) + 0.3 * NOISE, True),
+    "size of Coulomb friction": (np.abs(PUSHED), True),
+    "signed": (SIGNALS["tau"], False),
+    "backwards": (-SIGNALS["tau"], False),
+    "with a load that keeps its sign": (SIGNALS["tau"] + 2.0, False),
+    "noise of one sign": (np.abs(SIGNALS["noise"]), False),
+}
+
+
+@pytest.mark.parametrize("case", TORQUES)
+@pytest.mark.parametrize("has_model", [True, False])
+def test_a_torque_without_a_sign_is_named(case: str, has_model: bool, tmp_path: Path) -> None:
+    tau, is_unsigned = TORQUES[case]
+    checks = find_checks(log_torque(tau), describe_rotor(tmp_path), has_model=has_model)
+    assert ("torque-unsigned" in checks) == is_unsigned
+    assert not (is_unsigned and checks & {"torque-sign", "torque-signal", "torque-scale"})
+
+
+def test_motion_one_way_does_not_show_whether_a_torque_has_a_sign(tmp_path: Path) -> None:
+    t = SIGNALS["t"]
+    q = 2.0 * t + 0.3 * np.sin(t)
+    tau = 0.3 + 0.02 * np.gradient(q, t) + NOISE
+    assert "torque-unsigned" not in find_checks(log_torque(tau, q), describe_rotor(tmp_path))
+
+
+def test_a_torque_without_a_sign_is_refused_by_what_learns(tmp_path: Path) -> None:
+    robot = Robot(describe_rotor(tmp_path))
+    with pytest.raises(HealthError, match="no sign"):
+        check_logs([log_torque(TORQUES["size"][0])], robot)
+
+
+def write_speeds(path: Path) -> Path:
+    table = np.column_stack([SIGNALS["t"], SIGNALS["dq"], SIGNALS["tau"]])
+    np.savetxt(path, table, delimiter=",", header="t,dq1,tau1", comments="", fmt="%.12g")
+    return path
+
+
+def test_a_position_is_the_integral_of_its_velocity(tmp_path: Path) -> None:
+    description = apply_changes(describe_rotor(tmp_path), {"log.columns.q": ""})
+    path = write_speeds(tmp_path / "speeds.csv")
+    log = Log.read(path, description)
+    np.testing.assert_allclose(log.q[:, 0], SIGNALS["q"] - SIGNALS["q"][0], atol=2e-3)
+    assert log.dq is not None
+    (finding,) = examine([log], description, Robot(description)).findings
+    assert (finding.check, finding.severity) == ("position-integral", "warning")
+    pieces = LongLog(path, description, max_rows=300).checked_pieces
+    rows = np.searchsorted(log.t, pieces[-1].t)
+    np.testing.assert_allclose(pieces[-1].q, log.q[rows], atol=1e-9)
+
+
+def test_a_start_that_gravity_depends_on_is_missed(tmp_path: Path) -> None:
+    """A pendulum: its torque depends on the angle, which a velocity does not tell."""
+    description = describe_rotor(tmp_path)
+    text = description.model.read_text(encoding="utf-8")
+    text = text.replace('<axis xyz="0 0 1"/>', '<axis xyz="0 1 0"/>')
+    text = text.replace("<inertial>", '<inertial><origin xyz="0.1 0 0"/>')
+    description.model.write_text(text, encoding="utf-8")
+    description = apply_changes(description, {"log.columns.q": "", "known": None})
+    log = Log.read(write_speeds(tmp_path / "speeds.csv"), description)
+    log = replace(
+        log,
+        tau=log.tau
+        + Robot(description).torque(
+            Robot(description).nominal_parameters, log.q, 0.0 * log.q, 0.0 * log.q
+        ),
+    )
+    findings = examine([log], description, Robot(description)).findings
+    assert ("position-integral", "error") in {(f.check, f.severity) for f in findings}
