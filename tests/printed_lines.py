@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from typing import Any
 
 _SETTING = re.compile(
-    r"(?:\[([\w.]+)\] )?\b([a-z_]\w*) = (\[[^\]]*\]|'[^']*'|\"[^\"]*\"|[-+\d.e]+)"
+    r"(?:\[([\w.]+)\] )?\b([a-z_]\w*) = "
+    r"(\[[^\]]*\]|'[^']*'|\"[^\"]*\"|-?[\d.]*\d(?:e[-+]?\d+)?|true|false)"
 )
 
 

@@ -39,6 +39,7 @@ def signals(seconds: float = 10.0, rate: float = 200.0, seed: int = 0) -> dict[s
         "tau": tau,
         "amperes": tau / 0.11,
         "volts": 3.0 * tau + 0.2 * dq,
+        "size": np.abs(tau),
         "noise": np.cumsum(rng.standard_normal(t.size)),
         "warmth": 30.0 + 0.01 * t,
     }

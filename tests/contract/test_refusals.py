@@ -63,6 +63,13 @@ def changed(data: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 REFUSALS: list[tuple[type[Config], dict[str, Any], dict[str, Any], str, str]] = [
     (RobotDescription, ROBOT, {"nmae": "r"}, "key.unknown", "nmae"),
     (RobotDescription, ROBOT, {"name": None}, "key.missing", "name"),
+    (
+        RobotDescription,
+        ROBOT,
+        {"log.columns": {"q": "", "dq": ""}},
+        "log.no_motion",
+        "log.columns.q",
+    ),
     (RobotDescription, ROBOT, {"log.filter_cutoff": 0}, "value.greater_than", "log.filter_cutoff"),
     (RobotDescription, ROBOT, {"log.unit": "deg"}, "key.unknown", "log.unit"),
     (RobotDescription, ROBOT, {"log.units.q": "feet"}, "log.unit", "log.units.q"),
@@ -235,3 +242,10 @@ def test_a_place_in_front_keeps_code_and_key() -> None:
     error = ConfigError("key 'q' is 0.", code="log.unit", key="log.units.q").add_place("robot.toml")
     assert (error.code, error.where, error.key) == ("log.unit", "robot.toml", "log.units.q")
     assert str(error) == "robot.toml: key 'q' is 0."
+
+
+def test_missing_keys_are_named_at_once() -> None:
+    with pytest.raises(ConfigError) as caught:
+        RobotDescription.from_data(PLACE, {"log": {}})
+    assert caught.value.code == "key.missing"
+    assert "'name', 'model' and 'joints'" in str(caught.value)

@@ -408,3 +408,45 @@ def test_springs_of_an_mjcf_are_listed(tmp_path: Path, hesr: Hesr, arm: RobotDes
     robot = Robot(RobotDescription.read(tmp_path / "own" / "robot.toml"))
     assert [term.joint for term in robot.springs] == [1, 1]
     np.testing.assert_allclose(robot.nominal_parameters[robot.inertial :], [40.0, -12.0])
+
+
+def box(x: float, y: float, z: float) -> str:
+    """Return a box as a mesh, whose mass MuJoCo computes."""
+    corners = [(i, j, k) for i in (-x, x) for j in (-y, y) for k in (-z, z)]
+    faces = ["1 2 4 3", "5 7 8 6", "1 5 6 2", "3 4 8 7", "1 3 7 5", "2 6 8 4"]
+    lines = [f"v {i} {j} {k}" for i, j, k in corners] + [f"f {face}" for face in faces]
+    return "\n".join(lines)
+
+
+MESHES = """<mujoco><compiler meshdir="assets"/><include file="parts.xml"/><worldbody>
+<body name="a"><joint name="j1" axis="0 1 0" range="-2 2" limited="true"/>
+<geom type="mesh" mesh="link" pos="0 0 .2" density="1000"/>
+<body name="b" pos="0 0 .4"><joint name="j2" axis="0 1 0" range="-2 2" limited="true"/>
+<geom type="mesh" mesh="tip" pos="0 0 .1" density="500"/></body></body></worldbody></mujoco>"""
+PARTS = """<mujoco><asset><mesh file="one/link.obj"/><mesh name="tip" file="two/link.obj"/>
+<mesh name="cover" file="two/cover.obj"/></asset></mujoco>"""
+
+
+def test_meshes_of_masses_are_part_of_a_project(tmp_path: Path) -> None:
+    """Two have the same name; that of the appearance is missing and not needed."""
+    model = model_file(tmp_path, MESHES, "arm.xml")
+    model_file(tmp_path, PARTS, "parts.xml")
+    for name, sizes in (("one", (0.05, 0.04, 0.2)), ("two", (0.02, 0.03, 0.1))):
+        (tmp_path / "assets" / name).mkdir(parents=True)
+        model_file(tmp_path / "assets" / name, box(*sizes), "link.obj")
+    expected = Robot(model).nominal_parameters
+    project = start(tmp_path / "project", model)
+    (tmp_path / "assets").rename(tmp_path / "gone")
+    copy = Robot(project.folder / "robot.toml")
+    assert copy.joints == ("j1", "j2")
+    np.testing.assert_allclose(copy.nominal_parameters[:20], expected[:20])
+    assert expected[0] == pytest.approx(8 * 0.05 * 0.04 * 0.2 * 1000)
+
+
+def test_a_missing_mesh_is_named_with_the_folder_of_the_model(tmp_path: Path) -> None:
+    model = model_file(tmp_path, MESHES, "arm.xml")
+    model_file(tmp_path, PARTS, "parts.xml")
+    with pytest.raises(RobotError, match="comes from the mesh") as caught:
+        start(tmp_path / "project", model)
+    assert str(tmp_path / "assets") in str(caught.value)
+    assert not (tmp_path / "project").exists()

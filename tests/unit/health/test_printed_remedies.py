@@ -65,7 +65,7 @@ MISTAKES: dict[str, tuple[Callable[[Log], Log], str]] = {
     "millinewtons": (lambda log: replace(log, tau=1e3 * log.tau), "torque-scale"),
     "another order": (
         lambda log: replace(
-            log, q=swap(log.q, 2, 1, 0), dq=swap(log.dq, 2, 1, 0), tau=swap(log.tau, 2, 1, 0)
+            log, q=swap(log.q, 2, 0, 1), dq=swap(log.dq, 2, 0, 1), tau=swap(log.tau, 2, 0, 1)
         ), "joint-order",
     ),
     "a zero off by a quarter": (
