@@ -99,9 +99,7 @@ def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | N
     judgement = judge(hypotheses)
     findings = list(judgement.findings)
     undecided = list(judgement.undecided)
-    # Without its sign, a torque shows neither signs nor scales nor causes.
-    has_signs = all(finding.check != "torque-unsigned" for finding in findings)
-    if robot and has_signs and not is_hopeless(findings):
+    if robot and not _lacks_evidence(findings) and not is_hopeless(findings):
         for part, (logged_part, part_torques), joint_fits in zip(
             parts, logged_sides, fits_by_part, strict=True
         ):
@@ -160,6 +158,14 @@ def _doubt_direction(
             record="motion both ways",
             logs=tuple(dict.fromkeys(part.log.name for part in moving_parts)),
         )
+
+
+def _lacks_evidence(findings: Sequence[Finding]) -> bool:
+    """Return whether torques without a sign, or unknown angles, show neither scales nor causes."""
+    return any(
+        finding.check in ("torque-unsigned", "position-integral") and finding.severity == "error"
+        for finding in findings
+    )
 
 
 def _collect_joints(hypotheses: Sequence[Hypothesis], checks: Sequence[str]) -> set[str]:

@@ -3,17 +3,23 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import permutations
 from operator import attrgetter
 from os.path import relpath
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from hesr_model.errors import LogError
 from hesr_model.findings import Finding, sort_by_severity
 from hesr_model.health import joints as selection
+from hesr_model.health.choices import (
+    Undecided,
+    choose_effort,
+    choose_motion,
+    find_count_size,
+    find_missing_lines,
+)
 from hesr_model.health.columns import ColumnProposal, propose_columns
 from hesr_model.health.examine import SYMPTOMS, Examination, examine, is_hopeless
 from hesr_model.health.joints import (
@@ -24,12 +30,10 @@ from hesr_model.health.joints import (
     remove_joints,
     select_joints,
 )
-from hesr_model.health.trials import ReadLogs, try_descriptions
 from hesr_model.health.velocity import match_velocity
 from hesr_model.logs.csv_text import HeaderError
-from hesr_model.logs.guess import ColumnCandidate, guess_columns
-from hesr_model.logs.kinematics import match_derivative
-from hesr_model.logs.log_format import LogFormat, LogUnits, column_names
+from hesr_model.logs.guess import guess_columns
+from hesr_model.logs.log_format import LogFormat
 from hesr_model.logs.log_table import LogTable
 from hesr_model.logs.readers.formats import find_format
 from hesr_model.logs.robot_log import Log
@@ -66,14 +70,7 @@ class Proposal:
     examination: Examination
     first_findings: Sequence[Finding]
     prismatic_joints: frozenset[int] = frozenset()
-    undecided: Mapping[str, "Undecided"] = field(default_factory=dict)
-
-
-class Undecided(NamedTuple):
-    """A value of a robot file that may be right, or an example of it, and why that is open."""
-
-    value: Any
-    reason: str
+    undecided: Mapping[str, Undecided] = field(default_factory=dict)
 
 
 class ProposalError(LogError):
@@ -109,7 +106,9 @@ def inspect_logs(
     except HeaderError as error:
         if robot is None:
             raise
-        proposal = _build_refused_proposal(error, to_description(robot), {})
+        description = to_description(robot)
+        missing_lines = find_missing_lines(error, None, description)
+        proposal = _build_refused_proposal(description, {}, missing_lines)
         raise ProposalError.from_refusal(error, proposal) from error
     if robot is not None:
         description = select_joints(robot, joints, table)
@@ -160,17 +159,16 @@ def propose(paths: Sequence[Path], description: RobotDescription, *, has_model: 
         if column_proposal.refusal is not None:
             raise column_proposal.refusal
         read_logs = partial(_read_changed_logs, paths, reasons)
-        changes, undecided = _choose_effort(
-            column_proposal, read_logs, reasons, has_model=has_model
-        )
+        changes, undecided = choose_effort(column_proposal, read_logs, reasons, has_model=has_model)
         description, logs, examination = read_and_examine(apply_changes(description, changes))
     except LogError as error:
-        raise ProposalError.from_refusal(
-            error, _build_refused_proposal(error, description, reasons)
-        ) from error
+        table = open_table(paths[0], description.log)
+        missing_lines = find_missing_lines(error, table, description)
+        proposal = _build_refused_proposal(description, reasons, missing_lines)
+        raise ProposalError.from_refusal(error, proposal) from error
     first_findings = examination.findings
     if any(finding.check == "velocity-match" for finding in first_findings):
-        changes, open_choices = _choose_motion(description, read_logs, reasons, has_model=has_model)
+        changes, open_choices = choose_motion(description, read_logs, reasons, has_model=has_model)
         undecided |= open_choices
         if changes:
             description, logs, examination = read_and_examine(apply_changes(description, changes))
@@ -238,7 +236,7 @@ def propose(paths: Sequence[Path], description: RobotDescription, *, has_model: 
         examination=examination,
         first_findings=first_findings,
         prismatic_joints=frozenset(np.flatnonzero(slides).tolist()),
-        undecided={**undecided, **_find_count_size(examination, description)},
+        undecided={**undecided, **find_count_size(findings, examination.parts, description)},
     )
 
 
@@ -266,157 +264,19 @@ def _read_changed_logs(
     return _read_logs(paths, description, dict(reasons))[1]
 
 
-def _choose_effort(
-    column_proposal: ColumnProposal,
-    read_logs: ReadLogs,
-    reasons: dict[str, str],
-    *,
-    has_model: bool,
-) -> tuple[dict[str, Any], dict[str, Undecided]]:
-    """Choose among columns of a torque or current that which motion and body explain."""
-    candidates = column_proposal.efforts
-    if len(candidates) < 2:
-        return {}, {}
-    trials = try_descriptions(
-        column_proposal.description,
-        [_change_effort(candidate) for candidate in candidates],
-        read_logs,
-        has_model=has_model,
-    )
-    if not trials:
-        return {}, {}
-    best = trials[0]
-    undecided: dict[str, Undecided] = {}
-    key = f"log.columns.{candidates[0].quantity}"
-    for trial in trials[1:]:
-        outcome = trial.race(best)
-        if outcome == "won":
-            best = trial
-            reasons[key] = f"likely: motion explains {trial.changes[key][0]} better than others"
-        elif outcome == "open":
-            reason = f"motion explains {trial.changes[key][0]} a little better, which may be chance"
-            undecided[key] = Undecided(value=trial.changes[key], reason=reason)
-    return dict(best.changes), undecided
-
-
-def _change_effort(candidate: ColumnCandidate) -> dict[str, Any]:
-    changes: dict[str, Any] = {f"log.columns.{candidate.quantity}": candidate.names}
-    default_unit = getattr(LogUnits(), candidate.quantity)
-    return changes | {f"log.units.{candidate.quantity}": candidate.unit or default_unit}
-
-
-def _choose_motion(
-    description: RobotDescription,
-    read_logs: ReadLogs,
-    reasons: dict[str, str],
-    *,
-    has_model: bool,
-) -> tuple[dict[str, Any], dict[str, Undecided]]:
-    """Choose between a position and a velocity that contradict each other, by the torque."""
-    derived = {"log.columns.dq": ""}
-    integrated = {"log.columns.q": ""}
-    trials = try_descriptions(description, [derived, integrated], read_logs, has_model=has_model)
-    names = {"q": "position", "dq": "velocity"}
-    for trial, rival in permutations(trials, 2):
-        if trial.race(rival) == "won":
-            ((key, value),) = trial.changes.items()
-            wrong = key.rpartition(".")[2]
-            right = "q" if wrong == "dq" else "dq"
-            reasons[key] = (
-                f"likely: position and velocity contradict each other, and the torque follows the "
-                f"{names[right]}"
-            )
-            return {key: value}, {}
-    reason = "position and velocity contradict each other, and the torque follows neither more"
-    undecided = {
-        key: Undecided(value=value, reason=reason)
-        for changes in (derived, integrated)
-        for key, value in changes.items()
-    }
-    return {}, undecided
-
-
-def _find_count_size(
-    examination: Examination, description: RobotDescription
-) -> dict[str, Undecided]:
-    """Return the size of an encoder's count, that for which positions agree with velocities."""
-    has_counts = any(
-        finding.check == "coarse" and finding.severity == "error"
-        for finding in examination.findings
-    )
-    if not has_counts:
-        return {}
-    declared_sizes = description.log.units.factors("q", len(description.joints))
-    sizes = list(map(float, declared_sizes))
-    reason = "the size of a count [rad or m]; 2 pi over the counts per turn"
-    for part in examination.parts:
-        if part.dq is None:
-            continue
-        for j in np.flatnonzero(part.is_moving):
-            match = match_derivative(part.t, part.q[:, [j]], part.dq[:, [j]])
-            if match.explains:
-                sizes[j] = float(f"{declared_sizes[j] / match.factor:.6g}")
-                reason = "the size of a count [rad or m], by the velocity"
-    return {"log.units.q": Undecided(value=tuple(sizes), reason=reason)}
-
-
-_EXAMPLE_RATE = 100.0  # [Hz]
-
-
-def _estimate_rate(path: Path, description: RobotDescription) -> float:
-    """Return the rate [Hz] at which positions change as velocities say, or an example."""
-    columns = description.log.columns
-    units = description.log.units
-    joints = description.joints
-    table = open_table(path, description.log)
-    names = {
-        key: column_names(getattr(columns, key), joints) if getattr(columns, key) else []
-        for key in ("q", "dq")
-    }
-    if table is None or not all(names.values()):
-        return _EXAMPLE_RATE
-    try:
-        q, dq = (
-            table.numbers(names[key], missing=True) * units.factors(key, len(joints))
-            for key in ("q", "dq")
-        )
-    except LogError:
-        return _EXAMPLE_RATE
-    match = match_derivative(np.arange(table.rows, dtype=float), q, dq)
-    if not (match.explains and match.factor > 0.0):
-        return _EXAMPLE_RATE
-    return float(f"{1.0 / match.factor:.3g}")
-
-
 def _build_refused_proposal(
-    refusal: LogError, description: RobotDescription, reasons: Mapping[str, str]
+    description: RobotDescription,
+    reasons: Mapping[str, str],
+    undecided: Mapping[str, Undecided],
 ) -> Proposal:
     """Return what is known of a log that cannot be read, and the lines that are missing."""
-    joint_count = len(description.joints)
-    examples: dict[str, dict[str, Any]] = {
-        "log.no_positions": {"log.columns.q": ("COLUMN",) * joint_count},
-        "log.no_torque": {
-            "log.columns.tau": ("COLUMN",) * joint_count,
-            "log.columns.current": ("COLUMN",) * joint_count,
-            "log.torque_per_ampere": (1.0,) * joint_count,
-        },
-        "log.torque_per_ampere": {"log.torque_per_ampere": (1.0,) * joint_count},
-    }
-    if refusal.code == "log.no_time":
-        examples[refusal.code] = {"log.rate": _estimate_rate(Path(refusal.where), description)}
-    if isinstance(refusal, HeaderError):
-        examples[refusal.code] = {"log.columns": refusal.suggestion}
-    reason = str(refusal).split(": ", 1)[-1].rstrip(".")
     return Proposal(
         description=description,
         reasons=reasons,
         logs=(),
         examination=Examination(),
         first_findings=(),
-        undecided={
-            key: Undecided(value=value, reason=reason)
-            for key, value in examples.get(refusal.code, {}).items()
-        },
+        undecided=undecided,
     )
 
 
