@@ -19,6 +19,7 @@ from cosim.workflow.arguments import (
 from hesr_model.errors import ArgumentError, HesrError, LogError
 from hesr_model.support.files import PathArg, written_together, written_whole
 from hesr_model.support.progress import Stages, silent
+from hesr_model.support.text import format_settings
 
 if TYPE_CHECKING:
     from cosim.report.tables.table import ResultTable
@@ -73,6 +74,10 @@ class Inspection(Answer):
         lines = [f"Fixed by the proposed robot file: {finding.sentence}" for finding in self.fixed]
         lines += finding_lines(self.findings)
         lines += [f"open: {finding.sentence}" for finding in self.proposal.examination.undecided]
+        lines += [
+            f"open: {format_settings({key: choice.value})}: {choice.reason}"
+            for key, choice in self.proposal.undecided.items()
+        ]
         if not self.proposal.first_findings:
             lines.append("Nothing wrong or unusual was found.")
         lines += [f"proposed: {key}: {text}" for key, text in self.proposal.reasons.items()]
@@ -117,6 +122,10 @@ class Inspection(Answer):
             "given": [to_json(finding) for finding in self.proposal.first_findings],
             "proposed": [to_json(finding) for finding in self.findings],
             "undecided": [to_json(finding) for finding in self.proposal.examination.undecided],
+            "choices": {
+                key: {"value": choice.value, "reason": choice.reason}
+                for key, choice in self.proposal.undecided.items()
+            },
             "reasons": dict(self.proposal.reasons),
             "torque_constants": [
                 to_json(constant) for constant in self.constants if constant.determined

@@ -14,7 +14,7 @@ from hesr_model.robots.robot import RobotDescription
 _MOTION = ("q", "dq")
 _EFFORTS = ("tau", "current")
 _OPTIONAL = ("temperature", "q_cmd", "dq_cmd")
-_PLACEHOLDER_CONSTANT = 1.0  # [N.m/A], marked as guessed
+_PLACEHOLDER_CONSTANT = 1.0  # of torque, until it is stated
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -271,7 +271,8 @@ def test_a_clean_log_has_no_findings(
     assert "Nothing wrong or unusual was found." in said.out
     envelope = json.loads(answer.read_text("utf-8"))
     assert (envelope["passed"], envelope["findings"]) == (True, [])
-    empty = {"given": [], "proposed": [], "undecided": [], "reasons": {}, "torque_constants": []}
+    empty: dict[str, object] = {key: [] for key in ("given", "proposed", "undecided")}
+    empty |= {"choices": {}, "reasons": {}, "torque_constants": []}
     assert envelope["result"] == empty
 
 
