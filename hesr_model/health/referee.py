@@ -34,7 +34,7 @@ _RACE_ERRORS = 3.0
 _STATISTIC_ERRORS = 5.0
 _MAX_SETTINGS_LENGTH = 300  # characters of lines that a sentence quotes
 
-Outcome = Literal["won", "lost", "open"]
+TrialOutcome = Literal["won", "lost", "open"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +82,7 @@ class Race:
         return Estimate(value=value, error=error)
 
     @property
-    def outcome(self) -> Outcome:
+    def outcome(self) -> TrialOutcome:
         """Whether the hypothesis wins, loses, or leads within its uncertainty."""
         if not self.gain.value > self.min_gain:
             return "lost"
@@ -116,7 +116,7 @@ class Statistic:
     errors: float = _STATISTIC_ERRORS
 
     @property
-    def outcome(self) -> Outcome:
+    def outcome(self) -> TrialOutcome:
         """Whether the ratio lies outside the range, inside it, or too close to its end."""
         excess = max(self.low - self.estimate.value, self.estimate.value - self.high)
         if not excess > 0.0:
@@ -158,7 +158,7 @@ class Hypothesis:
     logs: tuple[str, ...] = ()
 
     @cached_property
-    def outcome(self) -> Outcome:
+    def outcome(self) -> TrialOutcome:
         """Whether the hypothesis is stated, dropped or undecided."""
         outcomes = {trial.outcome for trial in self.trials}
         if "lost" in outcomes:

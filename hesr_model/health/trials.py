@@ -9,7 +9,7 @@ import numpy as np
 from hesr_model.errors import LogError
 from hesr_model.health.evidence import ModelTorques, SmoothPart, find_rests, smooth_parts
 from hesr_model.health.joints import apply_changes
-from hesr_model.health.referee import LeftOutRows, Outcome, Race
+from hesr_model.health.referee import LeftOutRows, Race, TrialOutcome
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.arrays import Array
@@ -33,7 +33,7 @@ class TorqueTrial:
     squares: Array
     needs_friction: bool
 
-    def race(self, rival: "TorqueTrial") -> Outcome:
+    def race(self, rival: "TorqueTrial") -> TrialOutcome:
         """Return whether the motion explains these torques better than those of a rival."""
         if not self.needs_friction:
             return "lost"
