@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from hesr_model.errors import LogError
+from hesr_model.logs.log_arrays import MAX_NUMBER, SIGNALS, read_log_arrays
 from hesr_model.logs.readers.formats import find_format
 from hesr_model.logs.readers.samples import LogSamples
 from hesr_model.logs.rest import MIN_TRAVEL, find_travelling
@@ -22,7 +23,6 @@ MIN_GAP_STEPS = 10.0  # gap in usual steps; friction states are unknown after it
 USUAL_SHARE = 0.95  # share of the shortest steps, whose mean is usual
 SHORTEST_PART = 1.0  # minimum duration of a part [s]
 _RATE_MARGIN = 1.25
-_MAX_NUMBER = 1e20  # in any unit; nanoseconds since 1970 are 2e18
 _MIN_TWIST = 1e-12
 _MAX_TWIST = 0.1  # of a gear [rad], and over the joint's motion
 _UNITS = {"q": "rad", "dq": "rad/s", "tau": "N.m", "temperature": "degC"}
@@ -32,6 +32,10 @@ _UNITS |= {"q_link": "rad", "q_cmd": "rad", "dq_cmd": "rad/s"}
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Log:
     """The record of one motion of a robot.
+
+    Arrays are checked as files are: `hesr.Log(t=t, q=q, dq=dq, tau=tau)` raises LogError, with the
+    name of the parameter, for other shapes, missing numbers, or time that goes back. Lists and
+    integers become arrays of floating-point numbers; (N,) is (N, 1).
 
     Attributes
     ----------
@@ -47,12 +51,13 @@ class Log:
     path, sha256 : file of the log, and its hash.
     dropped : number of rows left out, by `LogFormat.missing`.
     robot : None if the log was not read from a file.
+    is_checked : True if the arrays fulfil these rules already, as those of readers do.
     """
 
-    name: str
+    name: str = "log"
     t: Array
     q: Array
-    dq: Array | None
+    dq: Array | None = None
     tau: Array
     load: Array | None = None
     temperature: Array | None = None
@@ -63,6 +68,23 @@ class Log:
     sha256: str = ""
     dropped: int = 0
     robot: RobotDescription | None = field(default=None, repr=False)
+    is_checked: bool = field(default=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.is_checked:
+            return
+        arrays = {name: getattr(self, name) for name in ("t", *SIGNALS)}
+        for name, values in read_log_arrays(self.where, arrays).items():
+            object.__setattr__(self, name, values)
+        if self.robot is not None and len(self.robot.joints) != self.q.shape[1]:
+            raise LogError(
+                f"{self.where}: 'q' has {self.q.shape[1]} joints (columns), but 'robot' has "
+                f"{len(self.robot.joints)}.",
+                code="log.array.joints",
+                where=self.where,
+                key="q",
+            )
+        object.__setattr__(self, "is_checked", True)
 
     def __repr__(self) -> str:
         return f"Log('{self.name}', {self.q.shape[1]} joints, {self._size})"
@@ -246,6 +268,7 @@ def convert_samples(path: Path, samples: LogSamples, description: RobotDescripti
         q_link=_convert_q_link(path, samples, q, description),
         path=path,
         robot=description,
+        is_checked=True,  # with places in the file
     )
 
 
@@ -372,21 +395,21 @@ def _convert_q_link(
 def _require_usable_numbers(path: Path, samples: LogSamples, joints: Sequence[str]) -> None:
     for quantity in ("q", "dq", "effort", "temperature", "q_link"):
         values = getattr(samples, quantity)
-        if values is not None and not np.all(is_usable := np.abs(values) <= _MAX_NUMBER):
+        if values is not None and not np.all(is_usable := np.abs(values) <= MAX_NUMBER):
             k, column = np.argwhere(~is_usable)[0]
             raise LogError(
                 f"{path}: {samples.place(k)}: {quantity} of joint "
                 f"'{joints[column * len(joints) // values.shape[1]]}' is "
-                f"{values[k, column]:g}; numbers up to {_MAX_NUMBER:g} can be used.",
+                f"{values[k, column]:g}; numbers up to {MAX_NUMBER:g} can be used.",
                 code="log.too_large_number",
                 where=path,
                 key=quantity,
             )
-    if not np.all(is_usable := np.abs(samples.t) <= _MAX_NUMBER):
+    if not np.all(is_usable := np.abs(samples.t) <= MAX_NUMBER):
         k = int(np.argmin(is_usable))
         raise LogError(
             f"{path}: {samples.time}, {samples.place(k)}: the time is {samples.t[k]:g}; numbers up "
-            f"to {_MAX_NUMBER:g} can be used.",
+            f"to {MAX_NUMBER:g} can be used.",
             code="log.too_large_number",
             where=path,
             key=samples.time,
