@@ -2,9 +2,10 @@
 
 import inspect
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -19,9 +20,8 @@ from cosim.workflow.arguments import (
 from hesr_model.errors import FitError, TableError
 from hesr_model.fitting.estimator import Estimator, estimator, to_law_name
 from hesr_model.fitting.fit import fit
-from hesr_model.friction.law import equations
+from hesr_model.friction.log_friction import mean_determination
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.records import rmse
 from hesr_model.friction.table import MotionTable, read_motion, read_numbers, read_torques
 from hesr_model.inference.choice import CHOOSE
 from hesr_model.logs.robot_log import Log, collect_parts
@@ -33,8 +33,6 @@ from hesr_model.support import plugins
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import to_path
 
-if TYPE_CHECKING:
-    from cosim.report.figures.chart import Figure
 Record = Sequence[FrictionRecord]  # friction of all joints in one log
 _TARGETS = ("friction", "torque")
 
@@ -139,7 +137,7 @@ class FrictionRegressor:
             robot_name = robot.description.name
             self.__dict__.pop("n_features_in_", None)
             if self.law == CHOOSE:
-                self.model_ = self._choose(logs, robot)
+                self.model_ = replace(self._choose(logs, robot), rigid_body=self.rigid_body_)
                 return self
             records = self._records(collect_parts(logs))
         else:
@@ -158,6 +156,7 @@ class FrictionRegressor:
         self.model_ = fit(
             self.law, *records, seed=self.seed, options=self.options, robot=robot_name
         )
+        self.model_ = replace(self.model_, rigid_body=getattr(self, "rigid_body_", None))
         return self
 
     def _choose(self, logs: Sequence[Log], robot: Robot) -> FrictionModel:
@@ -233,25 +232,24 @@ class FrictionRegressor:
             tau_predicted = self.predict(X)
             tau_predicted = tau_predicted.reshape(len(tau_predicted), -1)
             tau = read_torques(y, len(tau_predicted))
-        pairs = zip([rmse(e) for e in (tau_predicted - tau).T], np.std(tau, axis=0), strict=True)
-        return float(np.mean([1.0 - (e / s) ** 2 if s else float(e == 0.0) for e, s in pairs]))
+        return mean_determination(tau, tau_predicted)
 
     def equation(self) -> str:
         """Return the fitted law as text, joint by joint."""
-        model = self._require_fitted()
-        lines = []
-        for joint, law in zip(model.joints, model.laws, strict=True):
-            lines += [f"{joint}:", *(f"  {line}" for line in equations(law))]
-        return "\n".join(lines)
+        return self._require_fitted().equation()
 
-    def plot(self, X: Any, y: Any = None) -> "Figure":
-        """Return a figure of measured and predicted torque of one log or table over time."""
-        from cosim.report.figures.chart import Chart, Line, Panel, draw_chart
-        from cosim.report.figures.style import MEASURED, strokes
-        from cosim.report.tables.table import title as law_title
+    def plot(self, X: Any, y: Any = None) -> Any:
+        """Draw measured and predicted torque of one log or table over time.
+
+        Returns
+        -------
+        ndarray of matplotlib axes
+            One for each joint.
+        """
+        from cosim.report.tables.table import title
+        from cosim.workflow.objects import plot_torques
 
         model = self._require_fitted()
-        title = law_title(model.law)
         tau_predicted = self.predict(X)
         tau_predicted = tau_predicted.reshape(len(tau_predicted), -1)
         logs = self._logs(X)
@@ -263,15 +261,8 @@ class FrictionRegressor:
         else:
             t = self._table(X).t
             tau_measured = read_torques(y, len(tau_predicted))
-        rows = []
-        for k, joint in enumerate(model.joints):
-            lines = (
-                Line(name="measured", x=t, y=tau_measured[:, k], stroke=MEASURED),
-                Line(name=title, x=t, y=tau_predicted[:, k], stroke=strokes([title])[title]),
-            )
-            unit = "N" if model.slides[k] else "N.m"
-            rows.append((Panel(title=joint, y=f"{self.target} [{unit}]", lines=lines),))
-        return draw_chart(Chart(x="t [s]", rows=tuple(rows)))
+        signals = {"measured": tau_measured, title(model.law): tau_predicted}
+        return plot_torques(model.joints, model.slides, t, signals, self.target)
 
     def to_fmu(self, path: str | PathLike[str], *, platforms: Names | None = None) -> Path:
         """Write the fitted law as an FMU.

@@ -187,6 +187,7 @@ def fit(
         source["prior"] = [str(path) for path in paths_among(*priors)]
         source["adaptation"] = sentences
         model = replace(model, provenance=source)
+    model = replace(model, rigid_body=body)
     for name in additions:
         progress(f"fitting {name}", 0, 1)
         model, sentences = refinements[name].load()(model, records)

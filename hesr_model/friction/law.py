@@ -29,6 +29,12 @@ from hesr_model.equations.memory import (
 )
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.band import Band
+from hesr_model.friction.expressions import (
+    INTERVAL,
+    CoefficientRow,
+    LawExpressions,
+    format_latex,
+)
 from hesr_model.friction.inputs import DQ, MOVING, QUANTITIES, TORQUE
 from hesr_model.inference.covariance import Covariance
 from hesr_model.units import unit_of_joint
@@ -261,6 +267,55 @@ class FrictionLaw:
     def __repr__(self) -> str:
         return f"FrictionLaw('{self.name}', {len(self.values)} coefficients)"
 
+    def _repr_latex_(self) -> str:
+        return f"$\\displaystyle {self.latex()}$"
+
+    def equation(self) -> str:
+        """Return torque, derivatives x' and moved stops x+ as text, one a line, to four digits."""
+        return "\n".join(equations(self))
+
+    def latex(self) -> str:
+        """Return the equations in LaTeX, an `aligned` environment, to four digits."""
+        return format_latex(self.form.output, self.form.memory, _round_values(self))
+
+    def coefficient_rows(self, joint: str) -> tuple[CoefficientRow, ...]:
+        """Return the table of coefficients, with the name of the joint."""
+        held_names = find_held(self)
+        rows = []
+        for quantity in self.form.coefficients:
+            value = self.values[quantity.name]
+            error = self.standard_errors.get(quantity.name)
+            rows.append(
+                CoefficientRow(
+                    joint=joint,
+                    name=quantity.name,
+                    value=value,
+                    unit=quantity.unit,
+                    standard_error=error,
+                    lower=None if error is None else value - INTERVAL * error,
+                    upper=None if error is None else value + INTERVAL * error,
+                    at_bound=quantity.name in held_names,
+                    description=quantity.description,
+                )
+            )
+        return tuple(rows)
+
+    def to_expressions(self) -> LawExpressions:
+        """Return the equations as SymPy expressions with named symbols, values and units."""
+        units = {quantity.symbol: quantity.unit for quantity in QUANTITIES}
+        units |= {quantity.symbol: quantity.unit for quantity in self.form.coefficients}
+        units |= {element.state: element.unit for element in self.form.memory}
+        return LawExpressions(
+            torque=self.form.output,
+            derivatives={
+                element.state: element.express_derivative() for element in self.form.memory
+            },
+            values={
+                quantity.symbol: self.values[quantity.name] for quantity in self.form.coefficients
+            },
+            units=units,
+        )
+
     def _require_number(self, label: str, value: float, key: str) -> None:
         if not isfinite(value):
             raise ArtifactError(
@@ -292,12 +347,15 @@ _DIGITS = 4
 
 def equations(law: FrictionLaw) -> list[str]:
     """Return torque, derivatives x' and moved stops x+ of a law as text, to four digits."""
-    rounded = {
-        name: sympy.Float(f"{value:.{_DIGITS}g}", _DIGITS) for name, value in law.values.items()
+    return form_lines(law.form, _round_values(law))
+
+
+def _round_values(law: FrictionLaw) -> dict[sympy.Symbol, sympy.Expr]:
+    """Return the values of coefficients by symbol, to four digits."""
+    return {
+        quantity.symbol: sympy.Float(f"{law.values[quantity.name]:.{_DIGITS}g}", _DIGITS)
+        for quantity in law.form.coefficients
     }
-    return form_lines(
-        law.form, {quantity.symbol: rounded[quantity.name] for quantity in law.form.coefficients}
-    )
 
 
 def form_lines(form: LawForm, numbers: dict[sympy.Symbol, sympy.Expr] | None = None) -> list[str]:

@@ -4,28 +4,43 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import repeat
 from math import inf
+from os import PathLike
 from pathlib import Path
-from typing import Any, Self, overload
+from typing import TYPE_CHECKING, Any, Self, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.friction.band import LEVEL
+from hesr_model.friction.expressions import CoefficientRow, CoefficientTable, LawExpressions
 from hesr_model.friction.law import FrictionLaw, add_low_pass, equations
+from hesr_model.friction.log_friction import (
+    LogSource,
+    mean_determination,
+    read_log,
+    separate_friction,
+)
 from hesr_model.friction.model_file import MODEL_FORMAT, JointEntry, ModelFile
 from hesr_model.friction.predict import predict_band, predict_joints
 from hesr_model.friction.records import predict_record
 from hesr_model.friction.thermal import Thermal
 from hesr_model.friction.trained_range import TrainedRange
+from hesr_model.logs.robot_log import Log
+from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import FrictionRecord, transform_records
+from hesr_model.robots.robot import RobotLike
 from hesr_model.robots.transmission import Coupling
+from hesr_model.support import plugins
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import PathArg, to_path
 from hesr_model.support.frames import html_table
 from hesr_model.support.text import require_printable
 from hesr_model.support.typed_files import from_json, read_json, to_json, write_json
 from hesr_model.units import unit_of_joints
+
+if TYPE_CHECKING:
+    from hesr_model.audit.certificate import Certificate
 
 MIXED = "recommended"  # name of a model with a law of its own on each joint
 _OPTIONAL_PARTS = ("trained", "training_rmse", "left_out_rmse", "thermal")  # parts of each joint
@@ -49,6 +64,8 @@ class FrictionModel:
     left_out_rmse : the same on logs left out in turn [N.m]; empty if unknown.
     thermal : thermal model of each joint; empty if unknown.
     provenance : JSON data on the origin of the model (files with hashes, seed, versions).
+    rigid_body : body by which friction was separated from the logs, for predictions of further
+        logs; None if the model was read from a file, which does not contain it.
 
     Raises
     ------
@@ -68,6 +85,7 @@ class FrictionModel:
     left_out_rmse: tuple[float, ...] = ()
     thermal: tuple[Thermal, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    rigid_body: RigidBody | None = field(default=None, repr=False, compare=False)
 
     @property
     def size(self) -> int:
@@ -165,6 +183,10 @@ class FrictionModel:
         """Return the model of JSON data; raises ArtifactError, which names `path`, if invalid."""
         file = from_json(ModelFile, data, path, "a friction model")
         joints = file.joints
+        parts: dict[str, Any] = {
+            name: tuple(part for entry in joints if (part := getattr(entry, name)) is not None)
+            for name in _OPTIONAL_PARTS
+        }
         try:
             return cls(
                 law=file.law,
@@ -175,12 +197,7 @@ class FrictionModel:
                 coupling=file.coupling,
                 sample_time=file.sample_time,
                 provenance=file.provenance,
-                **{
-                    name: tuple(
-                        part for entry in joints if (part := getattr(entry, name)) is not None
-                    )
-                    for name in _OPTIONAL_PARTS
-                },
+                **parts,
             )
         except (TypeError, ValueError, AttributeError, KeyError) as error:
             raise ArtifactError(
@@ -221,9 +238,152 @@ class FrictionModel:
         """True for each prismatic joint."""
         return self.sliding or (False,) * len(self.joints)
 
+    def _repr_latex_(self) -> str:
+        shown_laws = [
+            (joint, law)
+            for joint, law in zip(self.joints, self.laws, strict=True)
+            if len(law.values) <= _MAX_SHOWN_COEFFICIENTS
+        ]
+        lines = [rf"\text{{{joint}: }} & {law.latex()}" for joint, law in shown_laws]
+        rows = " \\\\\n".join(lines)
+        return f"$\\displaystyle \\begin{{aligned}}\n{rows}\n\\end{{aligned}}$"
+
+    def equation(self) -> str:
+        """Return the laws as text, joint by joint, to four digits."""
+        lines = []
+        for joint, law in zip(self.joints, self.laws, strict=True):
+            lines += [f"{joint}:", *(f"  {line}" for line in equations(law))]
+        return "\n".join(lines)
+
+    def sympy(self) -> dict[str, LawExpressions]:
+        """Return the SymPy expressions of each joint, with named symbols, values and units."""
+        return {
+            joint: law.to_expressions() for joint, law in zip(self.joints, self.laws, strict=True)
+        }
+
+    def latex(self) -> dict[str, str]:
+        """Return the equations of each joint in LaTeX, to four digits."""
+        return {joint: law.latex() for joint, law in zip(self.joints, self.laws, strict=True)}
+
+    def coefficients(self) -> CoefficientTable:
+        """Return the coefficients with units, errors and the bounds that were hit."""
+        rows: list[CoefficientRow] = []
+        for joint, law in zip(self.joints, self.laws, strict=True):
+            rows += law.coefficient_rows(joint)
+        return CoefficientTable(law=self.law, rows=tuple(rows), provenance=self.provenance)
+
+    def passivity(self) -> "dict[str, Certificate]":
+        """Return for each joint whether its law is passive: proven, refuted or tested.
+
+        Raises SimulationError if the ranges of the training are unknown.
+        """
+        from hesr_model.audit.certificate import certify
+
+        if not self.trained:
+            raise SimulationError(
+                f"friction model '{self.law}' has no trained ranges; fit it to logs."
+            )
+        return {
+            joint: certify(law, trained_range)
+            for joint, law, trained_range in zip(self.joints, self.laws, self.trained, strict=True)
+        }
+
+    def select(self, joint: str) -> Self:
+        """Return the model of one joint; raises SimulationError if it is unknown or coupled."""
+        if joint not in self.joints:
+            raise SimulationError(
+                f"friction model '{self.law}' has no joint '{joint}'; it has "
+                f"{', '.join(self.joints)}."
+            )
+        if self.coupling is not None:
+            raise SimulationError(
+                f"friction model '{self.law}' has laws of coupled joints; use all of them."
+            )
+        j = self.joints.index(joint)
+        parts = ("joints", "laws", "sliding", *_OPTIONAL_PARTS)
+        changes: dict[str, Any] = {part: getattr(self, part)[j : j + 1] for part in parts}
+        return replace(self, **changes)
+
+    def score(self, logs: LogSource | Sequence[LogSource], **source: Any) -> float:
+        """Return the coefficient of determination R2 of friction, averaged over joints.
+
+        Logs are predicted separately; rows in their gaps do not count.
+
+        Parameters
+        ----------
+        logs : one or several logs, or paths.
+        source : `rigid_body` and `robot`, as in `predict`.
+
+        Raises
+        ------
+        LogError, SimulationError
+            If a log cannot be read or has other joints.
+        """
+        items = [logs] if isinstance(logs, Log | str | PathLike) else list(logs)
+        tau = []
+        tau_predicted = []
+        for log in items:
+            for part in read_log(log, source.get("robot")).parts():
+                log_records = self.records(part, **source)
+                tau.append(np.column_stack([record.tau for record in log_records]))
+                tau_predicted.append(self.predict(log_records))
+        return mean_determination(np.vstack(tau), np.vstack(tau_predicted))
+
+    def records(
+        self,
+        log: LogSource,
+        *,
+        rigid_body: RigidBody | PathArg | None = None,
+        robot: RobotLike | None = None,
+    ) -> list[FrictionRecord]:
+        """Return the measured friction of the model's joints in a log; see `predict`."""
+        body = self.rigid_body if rigid_body is None else rigid_body
+        if body is None:
+            raise SimulationError(
+                f"friction model '{self.law}': give 'rigid_body', the result of 'hesr identify', "
+                "which separates friction from the torque of the log.",
+                code="law.rigid_body",
+                key="rigid_body",
+            )
+        log_records = separate_friction(log, body, robot)
+        by_joint = {record.joint: record for record in log_records}
+        if self.coupling is None and set(self.joints) <= by_joint.keys():
+            log_records = [by_joint[joint] for joint in self.joints]
+        self._require_joints(log_records)
+        return log_records
+
+    def plot(self, log: LogSource, **source: Any) -> Any:
+        """Draw measured and predicted friction of a log over time.
+
+        Parameters
+        ----------
+        log : log, or its path.
+        source : `rigid_body` and `robot`, as in `predict`.
+
+        Returns
+        -------
+        ndarray of matplotlib axes
+            One for each joint.
+        """
+        records = self.records(log, **source)
+        return plugins.find("hesr.objects", "plot-friction")(self, records, self.predict(records))
+
+    def to_fmu(self, path: PathArg, **options: Any) -> Path:
+        """Write the model as an FMU, with the options of `hesr.export`, such as `platform`.
+
+        The default platforms are linux64, win64 and that of this machine.
+        """
+        fmu: Path = plugins.find("hesr.objects", "to-fmu")(self, path, **options)
+        return fmu
+
     @overload
     def predict(
-        self, records: Sequence[FrictionRecord], *, measured_start: bool = False
+        self,
+        records: Sequence[FrictionRecord] | LogSource,
+        *,
+        measured_start: bool = False,
+        rigid_body: RigidBody | PathArg | None = None,
+        robot: RobotLike | None = None,
     ) -> Array: ...
 
     @overload
@@ -238,13 +398,15 @@ class FrictionModel:
 
     def predict(
         self,
-        records: Sequence[FrictionRecord] | None = None,
+        records: Sequence[FrictionRecord] | LogSource | None = None,
         *,
         t: ArrayLike | None = None,
         dq: ArrayLike | None = None,
         q: ArrayLike | None = None,
         tau_load: ArrayLike | None = None,
         measured_start: bool = False,
+        rigid_body: RigidBody | PathArg | None = None,
+        robot: RobotLike | None = None,
     ) -> Array:
         """Return the friction torque of all joints, (N, n) [N.m].
 
@@ -253,19 +415,23 @@ class FrictionModel:
 
         Parameters
         ----------
-        records : records of one log, from `residual.friction_records`.
+        records : a log, its path, or the records of a log from `residual.friction_records`.
         t : (N,) time [s], increasing.
         dq : (N, n) joint velocity [rad/s].
         q : (N, n) joint position [rad]; zero by default.
         tau_load : (N, n) rigid-body torque of the motion [N.m]; zero by default.
         measured_start : True to estimate initial states from the first torques of a log.
+        rigid_body : body, or its file, that gives the load of a log; by default that of the fit.
+        robot : robot of a log; by default that of the log.
 
         Raises
         ------
         SimulationError
-            If records or arrays do not match the model's joints, time does not increase, or the
-            discretisation of a law is unstable.
+            If a log has no rigid body, records or arrays do not match the model's joints, time does
+            not increase, or the discretisation of a law is unstable.
         """
+        if isinstance(records, Log | str | PathLike):
+            records = self.records(records, rigid_body=rigid_body, robot=robot)
         if records is not None:
             self._require_joints(records)
             transformed_records = transform_records(
@@ -282,7 +448,7 @@ class FrictionModel:
             ]
             return self._to_joints(np.column_stack(columns))
         if t is None or dq is None:
-            raise TypeError("predict() takes the records of a log, or the arrays 't' and 'dq'")
+            raise TypeError("predict() takes a log, or the arrays 't' and 'dq'")
         time = np.asarray(t, dtype=float)
         speed, position, load = (
             self._to_rows(name, values, len(time))

@@ -15,7 +15,7 @@ from hesr_model.logs.readers.samples import LogSamples
 from hesr_model.logs.rest import MIN_TRAVEL, find_travelling
 from hesr_model.logs.tables import number_columns, write_table
 from hesr_model.robots.robot import RobotDescription, RobotLike, to_description
-from hesr_model.support import frames
+from hesr_model.support import frames, plugins
 from hesr_model.support.arrays import Array, Integers, Mask, get_arrays, select_rows
 from hesr_model.support.files import PathArg, sha256, to_path, written_whole
 
@@ -204,6 +204,10 @@ class Log:
     @property
     def _columns(self) -> dict[str, Array]:
         return {"t": self.t} | number_columns(**self._signals)
+
+    def plot(self) -> Any:
+        """Draw position, velocity and torque over time; return matplotlib axes (n, 3)."""
+        return plugins.find("hesr.objects", "plot-log")(self)
 
     def to_pandas(self) -> Any:
         """Return a `pandas.DataFrame` of ``q1.., dq1.., tau1..`` (SI) over ``t`` [s].

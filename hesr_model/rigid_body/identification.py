@@ -13,13 +13,14 @@ from threadpoolctl import threadpool_limits
 from hesr_model.errors import FitError, RobotError, RuleError
 from hesr_model.inference.covariance import Covariance
 from hesr_model.logs.robot_log import Log, require_moving
-from hesr_model.logs.signals import Motion, smooth_logs
+from hesr_model.logs.signals import Motion, smooth, smooth_logs
 from hesr_model.rigid_body import observations
 from hesr_model.rigid_body import physical as consistent
 from hesr_model.rigid_body.base_parameters import known_columns, sample_regressor, unknown_columns
 from hesr_model.rigid_body.elasticity import FIXED, ElasticGear, add_gears, build_gears, gear_forms
 from hesr_model.rigid_body.least_squares import Block, Solution, estimate_covariance, solve
-from hesr_model.robots.robot import Robot
+from hesr_model.robots.robot import Robot, RobotLike, to_robot
+from hesr_model.support import plugins
 from hesr_model.support.arrays import Array, Integers, Mask
 from hesr_model.support.files import PathArg, to_path
 from hesr_model.support.frames import html_table
@@ -121,6 +122,28 @@ class RigidBody:
         )
         head = ("base parameter [SI]", "value", "standard error")
         return html_table(f"Rigid body of '{self.robot}', {self.method}", head, rows)
+
+    def plot(self, log: Log, robot: RobotLike | None = None) -> Any:
+        """Draw measured torque and that of the bodies over time; return matplotlib axes (n,).
+
+        Parameters
+        ----------
+        log : motion of the robot.
+        robot : by default that of the log.
+
+        Raises
+        ------
+        RobotError
+            If the robot is unknown or another one.
+        """
+        known_robot = log.robot if robot is None else robot
+        if known_robot is None:
+            raise RobotError(f"{log.where}: the log does not name its robot; give 'robot'.")
+        model = to_robot(known_robot)
+        motion = smooth(log, model.description.log.filter_cutoff)
+        tau_body = self.torque(model, motion)
+        draw = plugins.find("hesr.objects", "plot-body")
+        return draw(self.joints, model.slides, motion.t, motion.tau, tau_body)
 
     def torque(self, model: Robot, motion: Motion) -> Array:
         """Return the torque Y_b pi_b (eq. 6), (N, n) [N.m]; RobotError for another robot."""

@@ -29,6 +29,7 @@ GROUPS = {
     "hesr.findings": "format of findings",  # writer (path, reports)
     "hesr.reports": "report",  # writer of a suffix or view
     "hesr.chapters": "chapter",  # Chapter of a run's report
+    "hesr.objects": "method",  # function of an object, for its methods to files and figures
     "hesr.commands": "command",  # workflow function of a verb
 }  # Groups of entry points, with the word for one plug-in in messages
 _OWN_PACKAGE = "hesr"

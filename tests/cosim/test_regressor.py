@@ -112,9 +112,14 @@ def test_logs_are_fitted_predicted_drawn_and_exported(
     assert regressor.predict(log).shape == (2000, 3)
     assert regressor.score(log) > 0.9
     assert "tau = " in regressor._repr_html_()
-    figure = regressor.plot(log)
-    assert [axis.get_title(loc="left") for axis in figure.axes] == list(arm.joints)
-    assert len(figure.axes[0].lines) == 2
+    model = regressor.model_
+    np.testing.assert_array_equal(model.predict(log), regressor.predict(log))
+    assert model.predict(str(file), robot=arm, rigid_body=regressor.rigid_body_).shape == (2000, 3)
+    assert model.score([log]) == regressor.score(log)
+    assert model.select(arm.joints[1]).predict(log).shape == (2000, 1)
+    for axes in (regressor.plot(log), model.plot(log), regressor.rigid_body_.plot(log)):
+        assert [axis.get_title(loc="left") for axis in axes] == list(arm.joints)
+        assert len(axes[0].lines) == 2
     with ZipFile(regressor.to_fmu(str(tmp_path / "Friction.fmu"))) as archive:
         assert "resources/friction_model.json" in archive.namelist()
     assert "import torch" in regressor.to_torch(tmp_path / "friction.py").read_text("utf-8")

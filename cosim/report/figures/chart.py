@@ -1,6 +1,6 @@
 """Charts of lines over a common axis, for figures and zooming views."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import ceil
@@ -58,7 +58,22 @@ class Chart:
         return [line for row in self.rows for panel in row for line in panel.lines]
 
 
-def draw_chart(chart: Chart, width: float = 9.0) -> Figure:
+def _make_figure(size: tuple[float, float]) -> Figure:
+    return Figure(figsize=size)
+
+
+def show_figure(size: tuple[float, float]) -> Figure:
+    """Return a figure of pyplot [in], which a notebook shows."""
+    from matplotlib import pyplot  # slow to import
+
+    return pyplot.figure(figsize=size)
+
+
+def draw_chart(
+    chart: Chart,
+    width: float = 9.0,
+    make_figure: Callable[[tuple[float, float]], Figure] = _make_figure,
+) -> Figure:
     """Draw a chart, with one legend above all panels."""
     rows = len(chart.rows)
     columns = len(chart.rows[0])
@@ -67,7 +82,9 @@ def draw_chart(chart: Chart, width: float = 9.0) -> Figure:
     name_count = len({line.name for line in chart.lines})
     top = 0.28 + (0.18 * ceil(name_count / _NAMES_PER_ROW) if name_count > 1 else 0.0)
     with apply_style():
-        figure, axes = grid(size, rows, columns, (0.62, top, 0.42), sharex=True)
+        figure, axes = grid(
+            size, rows, columns, (0.62, top, 0.42), make_figure=make_figure, sharex=True
+        )
         for row, panels in zip(axes, chart.rows, strict=True):
             for axis, panel in zip(row, panels, strict=True):
                 _draw(axis, panel, chart.window, max_columns // columns)
@@ -83,6 +100,7 @@ def grid(
     columns: int,
     margins: tuple[float, float, float],
     gaps: tuple[float, float] = (0.66, 0.32),
+    make_figure: Callable[[tuple[float, float]], Figure] = _make_figure,
     **subplot_options: Any,
 ) -> tuple[Figure, NDArray[Any]]:
     """Return a figure and its axes (rows, columns), with options of `Figure.subplots`.
@@ -105,7 +123,7 @@ def grid(
         "wspace": horizontal_gap / axes_width,
         "hspace": vertical_gap / axes_height,
     }
-    figure = Figure(figsize=size)
+    figure = make_figure(size)
     return figure, figure.subplots(
         rows, columns, squeeze=False, gridspec_kw=places, **subplot_options
     )
