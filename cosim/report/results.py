@@ -22,13 +22,17 @@ from hesr_model.audit.properties import Properties, read_properties
 from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.fitting.estimator import laws_of_paper
 from hesr_model.friction.model import FrictionModel
+from hesr_model.inference.choice import PLAIN
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import settle
 from hesr_model.support.typed_files import from_json, read_json
 from hesr_model.units import unit_of_joints
 
-AREAS = ("prediction", "at rest", "at reversals", "simulation", "between days")
+AREAS = (
+    "over Coulomb + viscous",
+    *("prediction", "at rest", "at reversals", "simulation", "between days"),
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -101,6 +105,7 @@ class Results:
         """Return recommended law and strongest reference of a joint, and ratios of their errors.
 
         Ratios are those of the first test set by `AREAS`, None where the run has no such errors.
+        The first one is that to Coulomb + viscous friction.
         """
         test = self.tests[0]
         comparison = self.comparisons[test]
@@ -110,7 +115,9 @@ class Results:
         models = [self.models[law_name] for law_name in law_names]
         has_days = sum("training" in log.roles for log in self.run.logs) > 1
         simulated = self.simulated.get(test)
+        plain = comparison.laws.get(PLAIN)
         errors = (
+            [law_scores[0].rmse[j : j + 1], plain.rmse[j : j + 1] if plain else ()],
             [scores.rmse[j : j + 1] for scores in law_scores],
             [scores.rmse_rest[j : j + 1] for scores in law_scores],
             [scores.rmse_reversal[j : j + 1] for scores in law_scores],

@@ -77,8 +77,9 @@ def build_robot_table(runs: Sequence[Results]) -> ResultTable:
         ]
     return ResultTable(
         caption="Error of the recommended law over that of the strongest classic law with the same "
-        "inputs or fewer, on the first test set (mean: geometric; simulation: position errors; "
-        "between days: training logs left out in turn)",
+        "inputs or fewer, and over that of Coulomb + viscous friction, on the first test set "
+        "(mean: geometric; simulation: position errors; between days: training logs left out in "
+        "turn)",
         head=("joint", "recommended", "reference", *AREAS),
         rows=rows,
         words=(1, 2),

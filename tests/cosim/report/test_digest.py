@@ -16,6 +16,7 @@ from cosim.report.tables.table import ResultTable, TableCell, TableRow, markdown
 from hesr.cli import app
 from hesr.extras.reports.digest import build_short_table, file_name, write_digest
 from hesr_model.errors import ArtifactError
+from hesr_model.inference.choice import PLAIN
 
 
 def cells(line: str) -> list[str]:
@@ -117,15 +118,17 @@ def test_several_runs_begin_with_a_table_of_recommended_laws(results: Path, tmp_
         assert joint == run.joints[k]
         assert names[law] == run.recommended[k]
         ratios.append(own.rmse[k] / other.rmse[k])
-        assert float(figures[0]) == pytest.approx(ratios[-1], abs=0.006)
+        plain = test.laws[PLAIN].rmse[k]
+        assert float(figures[0]) == pytest.approx(own.rmse[k] / plain, abs=0.006)
+        assert float(figures[1]) == pytest.approx(ratios[-1], abs=0.006)
         assert own.rmse_rest[k]
         assert other.rmse_rest[k]
-        assert float(figures[1]) == pytest.approx(own.rmse_rest[k] / other.rmse_rest[k], abs=0.006)
-        assert figures[4] == "–"  # a single training log has no other day
+        assert float(figures[2]) == pytest.approx(own.rmse_rest[k] / other.rmse_rest[k], abs=0.006)
+        assert figures[5] == "–"  # a single training log has no other day
     (mean, again) = (cells(line) for line in lines if line.startswith("| mean "))
     assert mean == again
     assert sum(line.startswith(f"| **{run.run.robot}** ") for line in lines) == 2
-    assert float(mean[3]) == pytest.approx(geometric_mean(ratios), abs=0.006)
+    assert float(mean[4]) == pytest.approx(geometric_mean(ratios), abs=0.006)
     with (tmp_path / "r_tables" / "robots.csv").open(encoding="utf-8") as file:
         (_, first, *_) = csv.DictReader(file)
     assert float(first["prediction"]) == pytest.approx(ratios[0], rel=1e-12)
