@@ -27,6 +27,7 @@ VERDICT_FORMAT = "hesr-verdict-1"
 
 _ROWS = LEFT_OUT
 _MAX_LISTED_LAWS = 3
+_MAX_SECONDS = 3600.0  # of a test that anyone would record
 _MAX_UNEXPLAINED = 25.0  # [%] of friction unexplained
 _MAX_REVERSAL_RATIO = 1.5  # error near reversals over that of all rows
 _MAX_UNTRAINED_SHARE = 0.02  # share of test rows outside the trained speeds
@@ -301,9 +302,13 @@ def find_separations(comparison: Comparison, laws: Sequence[str]) -> Iterator[Se
 
 
 def format_excess_percent(low: float, high: float) -> str:
-    """Return a range of ratios as percentages above 1."""
+    """Return a range of ratios as percentages above 1, in which more than double is one class."""
     first = f"{100 * (low - 1):.0f}"
     last = f"{100 * (high - 1):.0f}"
+    if low > 2.0:
+        return "more than 100 %"
+    if high > 2.0:
+        return f"{first} to more than 100 %"
     return f"{first} %" if first == last else f"{first} to {last} %"
 
 
@@ -317,15 +322,20 @@ def _format_count(low: int, high: int) -> str:
 def describe_limits(test: str, joints: Sequence[Separation]) -> Iterator[str]:
     """Yield sentences on the limits of a test of each joint's law."""
     joint_separations = dict(zip(short_names(len(joints)), joints, strict=True))
-    short_joints = [
-        name
+    undecided_joints = {
+        name: joint_separation.seconds
         for name, joint_separation in joint_separations.items()
         if joint_separation.detectable is None and joint_separation.tied
-    ]
+    }
+    short_joints = [name for name, seconds in undecided_joints.items() if seconds <= _MAX_SECONDS]
     if short_joints:
-        place_text = f" on {', '.join(short_joints)}" if len(short_joints) < len(joints) else ""
-        seconds = max(joint_separations[name].seconds for name in short_joints)
+        place_text = _place(short_joints, joints)
+        seconds = max(undecided_joints[name] for name in short_joints)
         yield f"{test} is too short to compare laws{place_text}; record at least {seconds:.0f} s."
+    scattered_joints = [name for name in undecided_joints if name not in short_joints]
+    if scattered_joints:
+        place_text = _place(scattered_joints, joints)
+        yield f"{test} cannot compare laws{place_text}: its logs differ too much; record more."
     tied_joints = {
         name: joint_separation
         for name, joint_separation in joint_separations.items()
@@ -343,16 +353,25 @@ def describe_limits(test: str, joints: Sequence[Separation]) -> Iterator[str]:
         if joint_separation.better:
             titles = ", ".join(map(title, joint_separation.better[:_MAX_LISTED_LAWS]))
             yield f"On {name} {test} shows {titles} to be better."
-    required_seconds = [
-        joint_separation.seconds
-        for joint_separation in tied_joints.values()
+    required_seconds = {
+        name: joint_separation.seconds
+        for name, joint_separation in tied_joints.items()
         if joint_separation.detectable and joint_separation.detectable[1] > RECORDED
+    }
+    possible_seconds = [seconds for seconds in required_seconds.values() if seconds <= _MAX_SECONDS]
+    found_text = f"{100 * (RECORDED - 1):.0f} %"
+    if possible_seconds:
+        yield f"To find {found_text}, record tests of about {max(possible_seconds):.0f} s."
+    impossible_joints = [
+        name for name, seconds in required_seconds.items() if seconds > _MAX_SECONDS
     ]
-    if required_seconds:
-        yield (
-            f"To find {100 * (RECORDED - 1):.0f} %, record tests of about "
-            f"{max(required_seconds):.0f} s."
-        )
+    if impossible_joints:
+        yield f"No test of an hour would find {found_text}{_place(impossible_joints, joints)}."
+
+
+def _place(names: Sequence[str], joints: Sequence[Separation]) -> str:
+    """Return the joints of a statement, nothing if it holds for all."""
+    return f" on {', '.join(names)}" if len(names) < len(joints) else ""
 
 
 def _list_weaknesses(

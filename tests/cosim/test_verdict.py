@@ -13,6 +13,7 @@ from cosim.report.tables.scores import errors
 from cosim.study.scores import ORACLE, Comparison, LawScores, Ratios, compare
 from cosim.study.study import LEFT_OUT
 from cosim.study.verdict import (
+    Separation,
     Verdict,
     _list_improvements,
     _list_weaknesses,
@@ -269,6 +270,15 @@ def limits_of(scores: Comparison, *laws: str) -> list[str]:
     return list(describe_limits("'t'", list(find_separations(scores, laws))))
 
 
+def test_no_test_of_a_day_is_advised() -> None:
+    tied = {"best": "lugre", "tied": ("stribeck",), "seconds": 49190.0}
+    joints = [Separation(detectable=None, **tied), Separation(detectable=(1.4, 58.7), **tied)]
+    first, second, third = describe_limits("'t'", joints)
+    assert first == OneSentence("'t'", "laws on J1", "differ too much")
+    assert "40 to more than 100 %" in second
+    assert third == OneSentence("of an hour", "10 %", "on J2")
+
+
 def test_a_law_alone_is_not_a_short_test(models, tested) -> None:
     predicted = {"lugre": predict_model(models["lugre"], tested)}
     truth = [[r.tau + 0.0 for r in of_joint] for of_joint in tested]
@@ -297,7 +307,7 @@ def test_twice_the_error_is_not_separated_by_a_test_that_cannot_show_it() -> Non
     rmse = {"lugre_load": [1.0, 1.0], "stribeck": [2.0, 2.0]}
     scores = case(rmse, [("lugre_load", "stribeck")] * 2, found=2.5)
     first, second = limits_of(scores, "lugre_load", "lugre_load")
-    assert "from 1 law on J1, J2; it would show 150 %" in first
+    assert "from 1 law on J1, J2; it would show more than 100 %" in first
     assert "about 120 s" in second
 
 
