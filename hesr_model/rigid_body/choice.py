@@ -539,7 +539,7 @@ def _describe_choice(kind: Kind, table: _ErrorTable, seconds: float) -> str:
     if kind == "nominal" and better_kinds:
         best_kind = min(better_kinds, key=lambda other: ratios[other])
         return (
-            f"Rigid body: {_NAMES[kind]}; {_ERROR_NAMES[best_kind]} error is "
+            f"{describe_kind(kind)} {_ERROR_NAMES[best_kind].capitalize()} error is "
             f"{ratios[best_kind]:.2f} of its own on left-out blocks, but the motion does not "
             "confirm it at other positions."
         )

@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from body_draws import try_draw
 
 from hesr_model.logs.signals import Motion
-from hesr_model.rigid_body.choice import choose_body, identify_kind
+from hesr_model.rigid_body.choice import KINDS, choose_body, identify_kind
 from hesr_model.rigid_body.extrapolation import (
     States,
     compute_standard_errors,
@@ -16,6 +17,7 @@ from hesr_model.rigid_body.extrapolation import (
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
+from hesr_model.support.files import models_folder
 
 MakeMotion = Callable[..., Motion]
 
@@ -91,3 +93,13 @@ def test_wrong_masses_are_kept_where_no_joint_moves_alone(
     tau = arm_model.torque(arm_model.nominal_parameters, q, dq, ddq) + friction + noise
     alike = replace(motion, q=q, dq=dq, ddq=ddq, q_raw=q, dq_causal=dq, tau=tau)
     assert choose_body([alike], arm_model).kind != "free"
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize(("seed", "kinds"), [(15, {"physical"}), (20, {"physical"}), (31, KINDS)])
+def test_a_body_that_misleads_elsewhere_is_not_chosen(seed: int, kinds: set[str]) -> None:
+    """On these motions of one frequency, bodies have up to five times the given model's error."""
+    draw = try_draw(Robot(models_folder() / "uf850" / "robot.toml"), seed)
+    assert max(draw.ratios.values()) > 2.0
+    assert draw.ratio <= 1.0
+    assert draw.kind in kinds
