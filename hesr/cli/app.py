@@ -35,6 +35,12 @@ Exit codes:
 \b
 Every command takes --quiet and --verbose. --json FILE writes results for
 programs; --json - writes them to standard output, and nothing else there.
+
+\b
+To start, with the URDF or MJCF of your robot:
+  hesr new my_arm --robot my_arm.urdf
+  hesr run my_arm/study.toml
+  hesr check results/my_arm/fmus/lugre.fmu
 """
 
 

@@ -13,8 +13,17 @@ Stages = Callable[[str, int, int], None]  # name of a stage, number of finished 
 Item = TypeVar("Item")
 
 
-def silent(*_told: object) -> None:
-    """Report nothing."""
+class _Silent:
+    """Progress that reports nothing; signatures show its name."""
+
+    def __call__(self, *_told: object) -> None:
+        pass
+
+    def __repr__(self) -> str:
+        return "silent"
+
+
+silent = _Silent()
 
 
 _current: ContextVar[list[str]] = ContextVar("_current")
