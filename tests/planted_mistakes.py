@@ -282,6 +282,8 @@ def can_tell(mistake: Mistake, log: Log, spoilt: Log, j: int, robot: Robot) -> b
         return True
     if mistake.reading == "scale" and robot.description.known is not None:
         return False  # the model's body is a placeholder
+    if _exceeds_limits(spoilt, robot) and not _exceeds_limits(log, robot):
+        return True
     cutoff = robot.description.log.filter_cutoff
     true_parts = smooth_parts(log, cutoff)
     spoilt_parts = smooth_parts(spoilt, cutoff)
@@ -302,6 +304,13 @@ def can_tell(mistake: Mistake, log: Log, spoilt: Log, j: int, robot: Robot) -> b
         )
     race = Race(rival="the planted one", rival_squares=rival_squares, squares=squares, min_gain=0.1)
     return race.outcome == "won"
+
+
+def _exceeds_limits(log: Log, robot: Robot) -> bool:
+    """Return whether a position lies beyond the model's limits by more than their width."""
+    lower, upper, _ = robot.limits
+    excess = np.maximum(lower - log.q.min(axis=0), log.q.max(axis=0) - upper)
+    return bool(np.any(excess > upper - lower))
 
 
 def _predict_torque(

@@ -512,7 +512,8 @@ _MIN_STUCK_TO_USUAL = 10.0
 _MIN_MOVING_SHARE = 0.25  # stuck run over others, its share in motion
 _MIN_SPIKE_TO_RANGE = 3.0  # torque spike over the range of other rows
 _ROWS_OF_A_CHANGE = 3  # before and after a sudden change of speed
-_MIN_SUDDEN_CHANGE = 0.3  # of the speed, over its peak
+_MIN_SUDDEN_CHANGE = 0.3  # of the speed, over the larger of both
+_MIN_SUDDEN_SPEED = 0.03  # the larger of both, over the peak of the log
 _MAX_SPEED_TO_LIMIT = 1.3  # speed over the limit; drives exceed it slightly
 
 
@@ -559,8 +560,12 @@ def _changes_speed(q: Array) -> Mask:
     after = np.minimum(rows + _ROWS_OF_A_CHANGE, len(q) - 1)
     speed_before = (q[rows] - q[before]) / (rows - before)
     speed_after = (q[after] - q[rows]) / (after - rows)
-    peak = max(float(np.max(np.abs(speed_after))), 1e-300)
-    return np.asarray(np.abs(speed_after - speed_before) > _MIN_SUDDEN_CHANGE * peak)
+    local_peaks = np.maximum(np.abs(speed_before), np.abs(speed_after))
+    # At a smooth reversal both speeds are small.
+    is_fast = local_peaks > _MIN_SUDDEN_SPEED * np.max(local_peaks, initial=0.0)
+    return np.asarray(
+        is_fast & (np.abs(speed_after - speed_before) > _MIN_SUDDEN_CHANGE * local_peaks)
+    )
 
 
 def _compute_speeds(log: Log) -> Array:

@@ -210,7 +210,7 @@ def check_velocity(
         if mismatch.outcome == "lost":
             yield from _doubt_sign(description, j, matches, v, dq)
             yield from _doubt_scale(description, j, matches, part, v, dq)
-            yield from _doubt_lag(joint, j, match, part, v, dq, left_out)
+            yield from _doubt_lag(joint, j, match, part, v, dq)
         elif np.ptp(dq[:, j]) <= 1e-9 * np.max(np.abs(v[:, j])):
             yield Hypothesis(
                 check="velocity-constant",
@@ -302,7 +302,6 @@ def _doubt_lag(
     part: SmoothPart,
     v: Array,
     dq: Array,
-    left_out: LeftOutRows,
 ) -> Iterator[Hypothesis]:
     """Doubt that a velocity is as early as its position."""
     resolution = max(_MIN_LAG_TO_SETTLING * part.settling, _MIN_LAG_TO_PERIOD * part.period)
@@ -310,12 +309,12 @@ def _doubt_lag(
         return
     shift = round(match.lag / part.period)
     late_dq = np.roll(dq[:, j], -shift)
-    ones = np.ones(len(v))
     is_inside = np.ones(len(v), dtype=bool)
     is_inside[-shift if shift > 0 else 0 : None if shift > 0 else -shift] = False
+    # One slope and offset for both: a shifted window may hold more motion, which fits by itself.
+    offset = float(np.mean(v[:, j] - match.slope * dq[:, j]))
     rival_squares, squares = (
-        left_out.predict(np.column_stack([column, ones]), v[:, j])[is_inside] ** 2
-        for column in (dq[:, j], late_dq)
+        (v[:, j] - match.slope * column - offset)[is_inside] ** 2 for column in (dq[:, j], late_dq)
     )
     direction = "late" if match.lag > 0 else "early"
     yield Hypothesis(
