@@ -31,7 +31,7 @@ def two_joints(rows: int = 1000, period: float = 0.01) -> Log:
     q = np.column_stack([np.sin(t), 0.5 * np.cos(0.7 * t)])
     dq = np.column_stack([np.cos(t), -0.35 * np.sin(0.7 * t)])
     tau = np.random.default_rng(0).normal(size=q.shape)
-    return Log(name="run", t=t, q=q, dq=dq, tau=tau)
+    return Log(name="run", t=t, q=q, dq=dq, tau=tau, is_checked=True)  # or faulty
 
 
 def at(values: np.ndarray | None, rows: object, joint: object, value: object) -> np.ndarray:

@@ -133,7 +133,10 @@ _QUANTITY_OF_UNIT = {text: quantity for quantity, texts in _UNITS.items() for te
 _BRACKET_ONLY = _split_words("m n a c k s v w j bar pa mv arms inch turn rev turns")
 _BRACKETS = re.compile(r"[\[(<]([^\[\]()<>]*)[\])>]")
 _SLASH_SUFFIX = re.compile(r"\s(?:/|in)\s+(\S+)$")  # 'speed / rpm', 'speed in rpm'
-_SEPARATED = re.compile(r"(?<=[a-z°])[_ ]per[_ ](?=[a-z])|(?<=rad|deg|rev)_(?=s$|s[_ ])")
+_SEPARATED = re.compile(
+    r"(?<=[a-z°])[_ ]per[_ ](?=[a-z])"
+    r"|(?:(?<=rad|deg|rev|\dmm|_mm|\dcm|_cm)|(?<=\dm|_m))_(?=s$|s[_ ])"  # 'v1_mm_s'
+)
 _TOKEN = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|°")
 _AXES = re.compile(r"(?<![A-Za-z])([iIuUvV])[_ ]?([dq])(?![A-Za-z])")  # i_q is a current
 _FIELD_AXIS = re.compile(r"(?<![A-Za-z])[dqDQ][-_ ]?axis(?![A-Za-z])")  # of a field, no position
