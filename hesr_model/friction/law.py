@@ -275,7 +275,7 @@ class FrictionLaw:
         return "\n".join(equations(self))
 
     def latex(self) -> str:
-        """Return the equations in LaTeX, an `aligned` environment, to four digits."""
+        """Return the equations in LaTeX, aligned, to four digits."""
         return format_latex(self.form.output, self.form.memory, _round_values(self))
 
     def coefficient_rows(self, joint: str) -> tuple[CoefficientRow, ...]:

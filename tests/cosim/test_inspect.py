@@ -4,6 +4,7 @@ import json
 import re
 import tomllib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -217,7 +218,8 @@ def test_a_unit_is_sure_only_with_two_witnesses(
     tau = motion.tau + np.random.default_rng(1).normal(0.0, 0.05, motion.tau.shape)
     for dq, mark in ((motion.dq, "sure"), (np.degrees(motion.dq), "likely")):
         path = tmp_path / "log.csv"
-        Log(name="log", t=motion.t, q=np.degrees(motion.q), dq=dq, tau=tau).write(path)
+        log = Log(name="log", t=motion.t, q=motion.q, dq=motion.dq, tau=tau)
+        replace(log, q=np.degrees(motion.q), dq=dq).write(path)
         found = propose([path], arm, has_model=True)
         assert found.description.log.units.q == "deg"
         assert found.reasons["log.units.q"].startswith(f"{mark}: ")
