@@ -76,7 +76,7 @@ class PaperResult:
             claims=tuple(judge_claim(claim, evidence) for claim in evidence.study.claims),
             rmse={
                 truth: {
-                    law_name: measures.level(evidence, truth=truth, law_name=law_name)
+                    law_name: measures.level(evidence, truth=truth, law=law_name)
                     for law_name in models
                 }
                 for truth, models in models_by_truth.items()

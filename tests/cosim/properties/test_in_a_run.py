@@ -13,6 +13,7 @@ from small_study import Run
 from hesr.extras.properties.battery import Subject, run_battery
 from hesr.extras.properties.scale import INERTIA, compute_standing_inertia
 from hesr_model.audit.properties import EXPECTATIONS, read_properties, write_properties
+from hesr_model.fitting.estimator import select_laws
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot, RobotDescription
@@ -46,7 +47,7 @@ def test_a_run_writes_findings_to_its_folder_and_the_fmus(
     results = study_run_for_programs.results
     assert "testing the laws: " in study_run_for_programs.answer.err
     found = read_properties(results / "properties.json")
-    assert list(found) == ["stribeck", "parfam_h"]
+    assert list(found) == [*select_laws("baseline"), "stribeck", "parfam_h"]
     assert [j.inertia for j in found["stribeck"].joints] == list(INERTIA["uf850"])
     with zipfile.ZipFile(results / "fmus" / "stribeck.fmu") as archive:
         assert 'id="property-hold"' in archive.read("documentation/index.html").decode()
