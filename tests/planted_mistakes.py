@@ -94,8 +94,12 @@ def _spoil(**changes: Callable[[Log, int, int], Array | None]) -> Callable[[Log,
     return plant
 
 
-def _middle(log: Log) -> int:
-    return len(log.t) // 2
+def _move_middle(values: Array | None, j: int, share: float) -> Array | None:
+    """Return signals (N, n), of which one is off in the middle row by a share of its range."""
+    if values is None:
+        return None
+    middle = len(values) // 2
+    return put(values, middle, j, values[middle, j] + share * np.ptp(values[:, j]))
 
 
 VELOCITY = ("velocity-scale", "velocity-match", "velocity-columns", "velocity-sign")
@@ -216,9 +220,7 @@ MISTAKES: dict[str, Mistake] = {
     ),
     "a row far off": Mistake(
         plant=_spoil(
-            q=lambda log, j, k: put(
-                log.q, _middle(log), j, log.q[_middle(log), j] + 0.5 * np.ptp(log.q[:, j])
-            )
+            q=lambda log, j, k: _move_middle(log.q, j, 0.5)
         ),
         checks=("spikes",),
     ),
@@ -244,9 +246,7 @@ MISTAKES: dict[str, Mistake] = {
     ),
     "a torque far off": Mistake(
         plant=_spoil(
-            tau=lambda log, j, k: put(
-                log.tau, _middle(log), j, log.tau[_middle(log), j] + 10 * np.ptp(log.tau[:, j])
-            )
+            tau=lambda log, j, k: _move_middle(log.tau, j, 10.0)
         ),
         checks=("torque-spikes",),
     ),

@@ -16,6 +16,7 @@ from cosim.study.study import Study, TimeBand
 from hesr_model.findings import Finding
 from hesr_model.forward.output_error import RefinementResult
 from hesr_model.friction.model import FrictionModel
+from hesr_model.inference.choice import LawChoice
 from hesr_model.inference.left_out import LeftOutErrors
 from hesr_model.logs.readers.arrays import load_table
 from hesr_model.logs.robot_log import Log
@@ -95,6 +96,7 @@ class ScoredRun:
     models: Mapping[str, FrictionModel]
     left_out: Mapping[str, str]  # reasons by law
     left_out_errors: LeftOutErrors
+    choice: LawChoice
     source: Mapping[str, Any]  # provenance
     fmus: Mapping[str, Path]
     comparisons: Mapping[str, Comparison]

@@ -119,7 +119,7 @@ def run_study(
             run_verdict = judge_run(
                 run.comparisons,
                 models,
-                choose_from_models(models, run.left_out_errors),
+                run.choice,
                 select_records(study.logs.training, records),
                 next(iter(test_records.values())),
                 properties,
@@ -213,11 +213,11 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
         models = {name: model for name, model in models.items() if name in left_out_errors.laws}
         refined = {name: refinement for name, refinement in refined.items() if name in models}
     # Variants are references: only those that are recommended need advice.
-    chosen_laws = choose_from_models(models, left_out_errors).laws
+    choice = choose_from_models(models, left_out_errors)
     checked_models = {
         name: model
         for name, model in models.items()
-        if name in chosen_laws or name not in study.variants
+        if name in choice.laws or name not in study.variants
     }
     training_records = select_records(study.logs.training, records)
     findings += log_findings(check_laws(checked_models, training_records))
@@ -240,6 +240,7 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
         models=models,
         left_out={**left_out, **left_out_errors.failed},
         left_out_errors=left_out_errors,
+        choice=choice,
         source=source,
         fmus=fmus,
         comparisons=comparisons,

@@ -74,7 +74,7 @@ class LawScores:
 
 @dataclass(frozen=True, kw_only=True)
 class Unseparated:
-    """What a test says of a law on a joint: laws not separated from it, and laws that are better.
+    """Statements of a test about a law on a joint: laws not separated from it, and better laws.
 
     The test would show errors of `detectable` times those of the law: the smallest and the largest
     such ratio of the laws not separated, or of all if there are none; None if the test is short or
@@ -154,7 +154,7 @@ class Comparison:
 
 
 def find_unseparated(comparison: Comparison, law_name: str, j: int) -> Unseparated | None:
-    """Return what a test says of a law on a joint, counted from 0; None if that is unknown.
+    """Return the statements of a test about a law on a joint, counted from 0; None if unknown.
 
     The verdict's sentence and the table of separations both use this.
     """
@@ -271,7 +271,7 @@ def compare(
 
 
 def _choose_fallback(laws: Iterable[str]) -> str:
-    """Return `REFERENCE`, else the first law that is no baseline, else the first law."""
+    """Return `REFERENCE`, else the first law other than a baseline, else the first law."""
     law_names = list(laws)
     if REFERENCE in law_names:
         return REFERENCE

@@ -435,7 +435,7 @@ class Job:
     ) -> LeftOutErrors:
         """Judge laws on rows of the training logs that neither they nor their body were fitted to.
 
-        Each fold leaves out logs, or a block of time, for the body and the laws alike.
+        Each fold leaves out logs, or a block of time, for both the body and the laws.
         """
         study = self.study
         motions_by_log = {

@@ -107,7 +107,7 @@ class Verdict:
 
     @property
     def has_test(self) -> bool:
-        """Whether the run has a test set, beside the left-out rows of the training logs."""
+        """Whether the run has a test set in addition to the left-out rows of the training logs."""
         return self.test != LEFT_OUT
 
     @property
@@ -286,7 +286,7 @@ def _format_ratios(members: Sequence[JointChoice]) -> str:
 
 
 def find_separations(comparison: Comparison, laws: Sequence[str]) -> Iterator[Separation]:
-    """Yield what a test says of the law of each joint."""
+    """Yield the statements of a test about the law of each joint."""
     if not comparison.leading:
         return
     for j, law_name in enumerate(laws):
@@ -302,7 +302,7 @@ def find_separations(comparison: Comparison, laws: Sequence[str]) -> Iterator[Se
 
 
 def format_excess_percent(low: float, high: float) -> str:
-    """Return a range of ratios as percentages above 1, in which more than double is one class."""
+    """Return a range of ratios as percentages above 1; all above double are one class."""
     first = f"{100 * (low - 1):.0f}"
     last = f"{100 * (high - 1):.0f}"
     if low > 2.0:

@@ -124,7 +124,7 @@ def register(estimator: Registered) -> Registered:
 
 
 def _find_module(law_name: str, module: str) -> str | None:
-    """Return the module that has a law of this name already, None if there is none."""
+    """Return the module that has a law of this name already, or None."""
     if law_name in _REGISTRY:
         return _REGISTRY[law_name].__module__
     # Installed laws are imported on use. That of a module may just be on its way.

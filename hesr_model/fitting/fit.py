@@ -9,7 +9,7 @@ from functools import partial
 from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -31,6 +31,7 @@ from hesr_model.support.files import provenance as source_of
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.progress import Progress, make_file_progress, silent, steps_told, watched
 
+_T = TypeVar("_T")
 _MIN_TORQUE = 1e-100  # [N.m]; squares of smaller ones vanish, of its inverse overflow
 _COLUMNS = ("t", "dq", "q", "tau_load", "tau")
 _VERSIONED_PACKAGES = ("hesr", "numpy", "scipy", "sympy")
@@ -317,12 +318,14 @@ def _calibrate_laws(
                     failures.setdefault(law_name, result)
                 else:
                     calibrated_laws.append(result)
-    complete_laws = {
-        law_name: calibrated_laws
-        for law_name, calibrated_laws in calibrated.items()
-        if law_name not in failures
-    }
-    return complete_laws, failures
+    return _select_successes(calibrated, failures), failures
+
+
+def _select_successes(
+    fitted_laws: Mapping[str, _T], failures: Mapping[str, FitError]
+) -> dict[str, _T]:
+    """Return the entries of the laws that did not fail."""
+    return {law_name: entry for law_name, entry in fitted_laws.items() if law_name not in failures}
 
 
 def _calibrate(
@@ -362,12 +365,7 @@ def _run_jobs(
                     raise result
                 else:
                     failures.setdefault(law_name, result)
-    complete_laws = {
-        law_name: joint_laws
-        for law_name, joint_laws in fitted_laws.items()
-        if law_name not in failures
-    }
-    return complete_laws, failures
+    return _select_successes(fitted_laws, failures), failures
 
 
 def load_or_fit(

@@ -110,6 +110,17 @@ class Explanations:
         table = np.column_stack(columns)
         return self.left_out.predict(table, target, non_negative=non_negative) ** 2
 
+    def race_signs(self, rival: str, column: Array, *others: Array, non_negative: int) -> Race:
+        """Return the race of the opposite sign of a column against its own, the rival.
+
+        The first `non_negative` columns, this one included, have no negative factor.
+        """
+        rival_squares, squares = (
+            self.predict(self.tau, sign * column, *others, non_negative=non_negative)
+            for sign in (1.0, -1.0)
+        )
+        return Race(rival=rival, rival_squares=rival_squares, squares=squares)
+
     def estimate_spread(self, kind: int) -> float:
         """Return half the range of a scale over free shapes of friction.
 
@@ -129,7 +140,7 @@ class Explanations:
     def explained_share(self) -> Estimate:
         """Share of the torque's signal that the best explanation predicts on left-out rows.
 
-        White noise is no signal that anything could explain.
+        Nothing can explain white noise.
         """
         ones = np.ones((len(self.tau), 1))
         constant_squares = self.predict(self.tau, ones)
@@ -236,18 +247,11 @@ def _doubt_gravity(
     ]
     if explanations is not None:
         # In free swing gravity and inertia cancel: both at once or neither explain the torque.
-        rival_squares, squares = (
-            explanations.predict(
-                explanations.tau,
-                sign * explanations.gravity,
-                explanations.inertial,
-                explanations.friction,
-                non_negative=2,
-            )
-            for sign in (1.0, -1.0)
-        )
+        others = (explanations.inertial, explanations.friction)
         trials.append(
-            Race(rival="gravity as the file has it", rival_squares=rival_squares, squares=squares)
+            explanations.race_signs(
+                "gravity as the file has it", explanations.gravity, *others, non_negative=2
+            )
         )
     yield Hypothesis(
         check="gravity-sign",
@@ -273,19 +277,11 @@ def _doubt_sign(
         _build_share_trial("the share of friction", fit.friction_size, fit.residual),
     ]
     if explanations is not None:
-        rival_squares, squares = (
-            explanations.predict(
-                explanations.tau,
-                sign * explanations.friction[:, 0],
-                explanations.gravity,
-                explanations.inertial,
-                explanations.friction[:, -1],
-                non_negative=1,
-            )
-            for sign in (1.0, -1.0)
-        )
+        coulomb = explanations.friction[:, 0]
+        offset = explanations.friction[:, -1]
+        others = (explanations.gravity, explanations.inertial, offset)
         trials.append(
-            Race(rival="friction that brakes", rival_squares=rival_squares, squares=squares)
+            explanations.race_signs("friction that brakes", coulomb, *others, non_negative=1)
         )
     follows_gravity = fit.bears_gravity and fit.gravity.t > _SIGNIFICANCE
     subject = "position and velocity count" if follows_gravity else "torque counts"

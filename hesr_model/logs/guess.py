@@ -179,7 +179,7 @@ def _find_candidates(
 def _keep_stated(
     candidates: Mapping[str, Sequence[ColumnCandidate]], stated: Mapping[str, Sequence[str]]
 ) -> dict[str, Sequence[ColumnCandidate]]:
-    """Return the stated columns, and the candidates for other quantities beside them."""
+    """Return the stated columns, and the candidates for other quantities."""
     stated_names = {name for names in stated.values() for name in names}
     remaining: dict[str, Sequence[ColumnCandidate]] = {}
     for quantity, quantity_candidates in candidates.items():

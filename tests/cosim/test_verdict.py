@@ -1,5 +1,6 @@
 """The verdict of a run and the marks in its tables: no more than the intervals support."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -23,7 +24,7 @@ from cosim.study.verdict import (
     read_verdict,
     write_verdict,
 )
-from fmu_src.friction.predictions import predict_model
+from fmu_src.friction.predictions import Records, predict_model
 from hesr_model.audit.properties import EXPECTATIONS, JointProperties, Properties, PropertyResult
 from hesr_model.errors import ArtifactError
 from hesr_model.fitting.fit import fit, fit_joint
@@ -92,8 +93,17 @@ def choose(*laws: str, ratio: float = 0.5) -> LawChoice:
     return LawChoice(base=laws[0], joints=joints, fold_count=5, seconds=100.0)
 
 
-def judged(scores, models, trained, tested, **more: Any) -> Verdict:  # type: ignore[no-untyped-def]
-    settings = {"gear_ratio": False, "choice": choose(*["lugre"] * len(trained))} | more
+def judged(
+    scores: Mapping[str, Comparison],
+    models: Mapping[str, FrictionModel],
+    trained: Records,
+    tested: Records,
+    **more: Any,
+) -> Verdict:
+    settings: dict[str, Any] = {
+        "gear_ratio": False,
+        "choice": choose(*["lugre"] * len(trained)),
+    } | more
     return judge_run(
         scores, models, trained_records=trained, tested_records=tested, properties={}, **settings
     )

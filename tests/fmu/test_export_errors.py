@@ -28,11 +28,15 @@ def test_joints_with_different_integration_are_refused(make_law, make_model, tmp
         export_fmu(model, tmp_path / "F.fmu")
 
 
-def test_units_unknown_to_fmi_are_refused(make_model, tmp_path):
-    own = Coefficient(name="a", unit="furlong", description="odd")
+@pytest.mark.parametrize(
+    ("name", "unit", "reason"),
+    [("é", "1", "not a structured name"), ("a", "furlong", "'furlong' is unknown")],
+)
+def test_names_invalid_in_fmi_are_refused(make_model, tmp_path, name, unit, reason):
+    own = Coefficient(name=name, unit=unit, description="odd")
     form = LawForm(coefficients=(own,), output=own.symbol * DQ)
-    law = FrictionLaw(name="odd", form=form, values={"a": 1.0})
-    with pytest.raises(ExportError, match="'furlong' is unknown"):
+    law = FrictionLaw(name="odd", form=form, values={name: 1.0})
+    with pytest.raises(ExportError, match=reason):
         export_fmu(make_model(law), tmp_path / "F.fmu")
 
 

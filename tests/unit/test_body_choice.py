@@ -12,7 +12,7 @@ from hesr_model.errors import FitError
 from hesr_model.inference.folds import split_into_folds
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.choice import choose_body, identify_kind
-from hesr_model.rigid_body.identification import RigidBody, identify_motions
+from hesr_model.rigid_body.identification import Kind, RigidBody, identify_motions
 from hesr_model.robots.robot import Robot, RobotDescription
 
 MakeMotion = Callable[..., Motion]
@@ -109,8 +109,9 @@ def test_a_rigid_body_keeps_its_kind_in_a_file(
 def test_motion_one_way_determines_no_offset(arm_model: Robot, make_motion: MakeMotion) -> None:
     motion = make_motion()
     one_way = replace(motion, dq=np.abs(motion.dq) + 0.2)
-    for kind in ("free", "physical"):
-        body = identify_kind([one_way], arm_model, kind)  # type: ignore[arg-type]
+    kinds: tuple[Kind, ...] = ("free", "physical")
+    for kind in kinds:
+        body = identify_kind([one_way], arm_model, kind)
         assert np.abs(body.friction).max() < 1e3
         np.testing.assert_array_equal(body.friction[:, 2], 0.0)
 

@@ -168,8 +168,7 @@ def test_offsets_of_a_log_are_fitted_to_its_judged_rows(
     motions = [replace(m, tau=m.tau + 4.0 * (k - 1)) for k, m in enumerate(motions)]
     folds = split_into_folds(motions, 3)
     body = replace(identify_motions(motions, arm_model))
-    settings = {"workers": 1}
-    apart = judge_laws([PLAIN], motions, arm_model, folds, [body] * 3, **settings)  # type: ignore[arg-type]
+    apart = judge_laws([PLAIN], motions, arm_model, folds, [body] * 3, workers=1)
     offset: tuple[Nuisance, ...] = ("offset",)
     fitted = judge_laws([PLAIN], motions, arm_model, folds, [body] * 3, per_log=offset, workers=1)
     for j in range(3):

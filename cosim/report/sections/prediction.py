@@ -80,7 +80,7 @@ def _test(results: Results, test: str) -> dict[str, Any]:
         "simulated": simulated
         and tables.position_errors(test, simulated, comparison, results.sliding),
         "bands": tables.bands(test, comparison) if comparison.bands else None,
-        # Left-out rows are no test; the table of recommended laws has their intervals.
+        # Left-out rows are not a test; the table of recommended laws has their intervals.
         "separations": tables.separations(test, comparison, recommended_laws)
         if results.has_tests
         else None,

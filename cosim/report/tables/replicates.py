@@ -22,7 +22,7 @@ NO_REPLICATE = "no motion occurs twice, so that the noise in its errors is unkno
 def split_of_laws(
     name: str, replicates: Replicates, laws: Sequence[str], sliding: Sequence[bool] = ()
 ) -> ResultTable:
-    """Return what repeats, what does not and what is left to gain, for one law per joint."""
+    """Return the parts of the error that repeat or do not, and the gain left, by joint."""
     shorts = joints(len(replicates.joints))
     splits = [replicates.laws[law_name][j] for j, law_name in enumerate(laws)]
     places = decimals([split.rmse for split in splits])

@@ -212,7 +212,7 @@ def separations(name: str, comparison: Comparison, laws: Sequence[str] = ()) -> 
 
 
 def _describe_test(log_count: int) -> str:
-    """Return how a test of so many logs separates laws, and for which logs that holds."""
+    """Return how a test of so many logs separates laws, and the logs to which that applies."""
     holm = "Holm over the laws of a joint"
     if log_count > 1:
         few = ""

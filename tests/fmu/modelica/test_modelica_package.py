@@ -204,6 +204,7 @@ def test_expressions_missing_in_modelica_are_refused(expression, make_model, tmp
         ("end", "taken by Modelica"),
         ("time", "taken by Modelica"),
         ("exp", "taken by Modelica"),
+        ("é", "not a valid name in Modelica"),
         ("sign_dq", "used twice"),
     ],
 )
