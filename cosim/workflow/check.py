@@ -113,7 +113,7 @@ def check(
         carries), hostile (odd and repeated steps, invalid calls), convention (error of each input
         convention).
     vdmcheck : path, optional
-        Folder with VDMCheck2; by default .tools/vdmcheck2, if present.
+        Folder with VDMCheck2, which is not run without it.
     junit : path, optional
         JUnit file to write: a test case per file and rule, which fails for an error.
     sarif : path, optional

@@ -1,7 +1,6 @@
 """MuJoCo's library of the installed version for each platform."""
 
 import subprocess
-import sys
 import zipfile
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -13,6 +12,7 @@ from fmu_src.export.package import Binary
 from fmu_src.export.toolchain import host_platform
 from hesr_model.errors import ExportError
 from hesr_model.support.files import scratch_folder
+from hesr_model.support.process import python_command
 
 _PACKAGE = "mujoco-core"
 _DOWNLOAD_TIMEOUT = 600.0
@@ -74,16 +74,9 @@ def _download_library(platform: str, wheel: _Wheel) -> tuple[str, bytes]:
     options = [option for tag in wheel.tags for option in ("--platform", tag)]
     options += ["--no-deps", "--only-binary", ":all:", "--quiet", "--disable-pip-version-check"]
     with scratch_folder() as folder:
-        command = [
-            sys.executable,
-            "-m",
-            "pip",
-            "download",
-            requirement,
-            *options,
-            "--dest",
-            str(folder),
-        ]
+        command = python_command(
+            "-m", "pip", "download", requirement, *options, "--dest", str(folder)
+        )
         try:
             process = subprocess.run(
                 command, capture_output=True, text=True, check=False, timeout=_DOWNLOAD_TIMEOUT

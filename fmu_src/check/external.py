@@ -17,7 +17,6 @@ FMPY_SECONDS = 120.0
 VDMCHECK_SECONDS = 300.0
 VDMCHECK_VARIABLES = 5000  # it takes quadratic time
 
-DEFAULT_VDMCHECK = Path(".tools/vdmcheck2")
 JAR = "vdmcheck2.jar"
 
 _MAX_MESSAGE_LENGTH = 1000  # characters of a message: FMPy lists all unknowns in one
@@ -71,17 +70,24 @@ def vdmcheck2(
     copy: Path, folder: Path, vdmcheck_folder: Path | None, count: int
 ) -> tuple[list[Problem], list[str]]:
     """Return the problems that VDMCheck2 finds, and why it was not run."""
-    jar = (vdmcheck_folder or DEFAULT_VDMCHECK) / JAR
-    if not jar.is_file():
-        return [], [f"VDMCheck2: {JAR} is missing in {jar.parent}."]
+    if vdmcheck_folder is None:
+        return [], ["VDMCheck2: --vdmcheck names no folder of it."]
     java = shutil.which("java")
-    if java is None:
+    # A relative path lies in the current folder, whose content may be a stranger's.
+    if java is None or not Path(java).is_absolute():
         return [], ["VDMCheck2: Java is not installed."]
     if count > VDMCHECK_VARIABLES:
         text = f"VDMCheck2: it would take too long for {count} variables"
         return [], [f"{text}; at most {VDMCHECK_VARIABLES} are given to it."]
     # Without -v it writes a file into its own folder.
-    command = (java, "-jar", str(jar.resolve()), "-v", str(folder / "model.vdm"), str(copy))
+    command = (
+        java,
+        "-jar",
+        str((vdmcheck_folder / JAR).resolve()),
+        "-v",
+        str(folder / "model.vdm"),
+        str(copy),
+    )
     try:
         ended = run(tie_command(command), folder, VDMCHECK_SECONDS)
     except FailedError as error:

@@ -32,7 +32,7 @@ from fmu_src.run.native import FUNCTIONS, End, set_times, write_library
 from fmu_src.run.sandbox_rights import warn
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
-from hesr_model.support.process import ChildProcess, FailedError, describe_end
+from hesr_model.support.process import ChildProcess, FailedError, describe_end, python_command
 from hesr_model.support.text import sanitise
 
 RUN_TIMEOUT = 3600.0  # [s] of a run
@@ -77,12 +77,11 @@ class Sandbox:
         self._socket, theirs = socket.socketpair()
         self._socket.settimeout(_POLL_PERIOD)
         theirs.set_inheritable(True)
-        # -P: modules in the current folder are not imported.
-        child = ("-P", "-m", "fmu_src.run.sandbox_child", str(theirs.fileno()), readable.resolve())
+        arguments = (str(theirs.fileno()), str(readable.resolve()), *modules)
         windows = sys.platform == "win32"
         try:
             self._child = ChildProcess(
-                (sys.executable, *map(str, child), *modules),
+                python_command("-m", "fmu_src.run.sandbox_child", *arguments),
                 folder,
                 environment=dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder.resolve())),
                 stdin=subprocess.PIPE,  # closed when this process ends

@@ -33,7 +33,7 @@ from hesr_model.support import cache
 from hesr_model.support.cache import USED
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.lazy import collect_seldom
-from hesr_model.support.process import ChildProcess, kill_by_mark, new_mark
+from hesr_model.support.process import ChildProcess, kill_by_mark, new_mark, python_command
 from hesr_model.support.progress import current, deferred, running
 
 JOBS = "jobs"  # prefix of files with pickled jobs
@@ -71,7 +71,8 @@ def work(folder: Path, parent: int) -> None:
         if process.memory_info().rss > first_size + _MAX_GROWTH and os.name == "posix":
             os.dup2(requests.fileno(), 0)
             os.dup2(answers.fileno(), 1)
-            os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
+            # The options of `python_command` are repeated by the arguments.
+            os.execv(sys.executable, sys.orig_argv)
 
 
 Preparation = Callable[[], None]
@@ -253,7 +254,7 @@ class _Pool:
         # The parent reports crashes; set PYTHONFAULTHANDLER for a traceback.
         faults = {"PYTHONFAULTHANDLER": os.environ.get("PYTHONFAULTHANDLER", "")}
         child = ChildProcess(
-            [sys.executable, "-c", _START, arguments],
+            python_command("-c", _START, arguments),
             None,
             mark=self._mark,
             environment=_ENVIRONMENT | faults,

@@ -19,6 +19,9 @@ os.getppid() == int(sys.argv[1]) or sys.exit(1); os.execvp(sys.argv[2], sys.argv
 _ROUNDS = 10  # a process may start others before it is killed
 
 
+_SAFE_PATH = {"PYTHONSAFEPATH": "1"}  # as -P, for all Python that is started
+
+
 class FailedError(Exception):
     """A program gave no answer; the text is a reason without full stop."""
 
@@ -41,7 +44,7 @@ class ChildProcess:
             self.process = subprocess.Popen(
                 list(command),
                 cwd=folder,
-                env=os.environ | {self._mark: "1"} | dict(environment or {}),
+                env=os.environ | _SAFE_PATH | {self._mark: "1"} | dict(environment or {}),
                 start_new_session=start_new_session,
                 **popen_options,
             )
@@ -81,6 +84,19 @@ def kill_by_mark(mark: str) -> None:
             with contextlib.suppress(psutil.Error):
                 process.kill()
         psutil.wait_procs(marked_processes, timeout=1.0)
+
+
+def python_command(*arguments: str) -> list[str]:
+    """Return a command that runs Python and imports nothing from the current folder.
+
+    Without -P, `python -c` and `python -m` would execute a json.py that lies there.
+    """
+    return [sys.executable, "-P", *arguments]
+
+
+def keep_current_folder_out() -> None:
+    """Let no Python that libraries start import from the current folder; glfw runs `python -c`."""
+    os.environ.update(_SAFE_PATH)
 
 
 def tie_command(command: Sequence[str]) -> Sequence[str]:

@@ -256,6 +256,20 @@ def test_nothing_is_printed_or_evaluated() -> None:
     assert offenders == set()
 
 
+def test_python_is_started_by_one_function() -> None:
+    """So that each process has the option that keeps the current folder out of its path."""
+    starts = {
+        (name, ast.unparse(node))
+        for name, path in MODULES.items()
+        for node in ast.walk(tree(path))
+        if isinstance(node, (ast.List, ast.Tuple))
+        and any(ast.unparse(part) == "sys.executable" for part in node.elts)
+    }
+    assert {name for name, _ in starts} == {"hesr_model.support.process"}
+    for _, text in starts:
+        assert "'-P'" in text or "'-ISc'" in text
+
+
 def modules_loaded_by(code: str) -> set[str]:
     """Return the full names of the modules loaded after code has run in a fresh process."""
     report = "import json, sys; print(json.dumps(sorted(sys.modules)))"

@@ -284,7 +284,6 @@ def test_foreign_code_has_its_scratch_folder(
 def test_readers_of_untrusted_files_have_few_rights_too(
     hostile_lag: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, deed: str
 ) -> None:
-    monkeypatch.chdir(tmp_path)  # without VDMCheck2
     (tmp_path / "secret").write_text("secret")
     monkeypatch.setenv("TARGET", str(tmp_path / "secret"))
     monkeypatch.setenv("DEED", f"fmi2DoStep try {deed}")
@@ -399,7 +398,6 @@ def test_commands_report_a_crash_in_one_sentence(
     tmp_path: Path,
     hesr: Hesr,
 ) -> None:
-    monkeypatch.chdir(tmp_path)  # without VDMCheck2
     monkeypatch.setenv("DEED", "fmi2DoStep exit")
     system = tmp_path / "lags.toml"
     system.write_text(LAGS.replace("FMU", str(hostile_lag)), encoding="utf-8")

@@ -8,7 +8,7 @@ from fmu_files import Xml, read_xml, without_binaries
 
 @pytest.fixture(autouse=True)
 def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An empty working folder, so that VDMCheck2 is not found automatically."""
+    """An empty working folder."""
     monkeypatch.chdir(tmp_path)
 
 

@@ -38,7 +38,7 @@ def bad(source_fmu, tmp_path):
     )
 
 
-NO_VDMCHECK = "not run: VDMCheck2: vdmcheck2.jar is missing in .tools/vdmcheck2."
+NO_VDMCHECK = "not run: VDMCheck2: --vdmcheck names no folder of it."
 PLATFORMS = "platforms: linux64; no binary for tools on Windows and macOS."
 PROBLEM = "modelDescription.xml: it holds '/home/anna/x'"
 

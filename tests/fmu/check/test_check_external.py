@@ -18,7 +18,7 @@ from fmu_src.check.run import check
 from hesr_model.errors import ConfigError
 
 REPOSITORY = Path(__file__).parents[3]
-FOLDER = REPOSITORY / external.DEFAULT_VDMCHECK
+FOLDER = REPOSITORY / ".tools" / "vdmcheck2"
 
 needs_vdmcheck = pytest.mark.skipif(
     shutil.which("java") is None or not (FOLDER / external.JAR).exists(),
@@ -69,17 +69,21 @@ def test_findings_of_vdmcheck2_are_reported(source_fmu, tmp_path):
     assert not any("https://" in text for text in found)
 
 
-@pytest.mark.ci
-@needs_vdmcheck
-def test_vdmcheck2_of_the_current_folder_is_used(source_fmu, monkeypatch):
-    monkeypatch.chdir(REPOSITORY)
-    assert check(source_fmu).skipped == ()
+@pytest.mark.parametrize("place", [".tools/vdmcheck2", "vdmcheck2", "."])
+def test_vdmcheck2_of_the_current_folder_is_not_run(source_fmu, vdmcheck, tmp_path, place):
+    (tmp_path / place).mkdir(parents=True, exist_ok=True)
+    shutil.copy(vdmcheck(f"echo ran > {tmp_path}/ran") / external.JAR, tmp_path / place)
+    (skipped,) = check(source_fmu).skipped
+    assert "--vdmcheck" in skipped
+    assert not (tmp_path / "ran").exists()
 
 
-def test_vdmcheck2_is_optional(source_fmu):
-    assert check(source_fmu).skipped == (
-        "VDMCheck2: vdmcheck2.jar is missing in .tools/vdmcheck2.",
-    )
+def test_java_of_the_current_folder_is_not_run(source_fmu, vdmcheck, tmp_path, monkeypatch):
+    folder = vdmcheck(f"echo ran > {tmp_path}/ran")
+    monkeypatch.chdir(tmp_path / "bin")
+    monkeypatch.setenv("PATH", f".{os.pathsep}")
+    assert check(source_fmu, vdmcheck=folder).skipped == ("VDMCheck2: Java is not installed.",)
+    assert not (tmp_path / "ran").exists()
 
 
 def test_a_folder_without_vdmcheck2_is_an_error(source_fmu, tmp_path):
