@@ -18,7 +18,7 @@ from hesr_model.logs.readers.samples import LogSamples
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
-from hesr_model.support.text import on_one_line
+from hesr_model.support.text import on_one_line, quote
 
 _TYPE = "sensor_msgs/msg/JointState"
 _SUFFIXES = (".db3", ".mcap", ".bag")
@@ -255,6 +255,15 @@ def _read_messages(path: Path, topics: Sequence[str]) -> Iterator[_Message]:
             code="bag.folder",
             where=path,
         )
+    # A folder may hold links and pipes, which the reader would follow or wait for.
+    for file in path.iterdir() if path.is_dir() else ():
+        if file.is_symlink() or not (file.is_file() or file.is_dir()):
+            raise LogError(
+                f"{path}: {quote(file.name)} is a link, a pipe or a device; a bag has plain files.",
+                code="log.other_file",
+                where=path,
+                key=file.name,
+            )
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore

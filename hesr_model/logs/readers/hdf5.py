@@ -12,6 +12,7 @@ from hesr_model.logs.readers.arrays import build_array_table, find_number_arrays
 from hesr_model.logs.readers.formats import table_format
 from hesr_model.logs.tables import require_content
 from hesr_model.support.arrays import Array
+from hesr_model.support.text import quote
 
 
 def read_hdf5_arrays(path: Path, kind: str, *, transposed: bool = False) -> dict[str, Array]:
@@ -25,12 +26,36 @@ def read_hdf5_arrays(path: Path, kind: str, *, transposed: bool = False) -> dict
             where=path,
         ) from error
 
+    def refuse(name: str, kind: str, other_file: str) -> LogError:
+        return LogError(
+            f"{path}: {quote(name)} is {kind} of {quote(other_file)}, which is not opened; save "
+            "all numbers in one file, as data sets without such references.",
+            code="log.other_file",
+            where=path,
+            key=name,
+        )
+
+    external_links: dict[str, str] = {}  # h5py does not let its visitor raise
+
+    def note_external_link(name: str, link: Any) -> None:
+        if isinstance(link, h5py.ExternalLink):
+            external_links[name] = str(link.filename)
+
     arrays: dict[str, Array] = {}
     bytes_left = compute_max_bytes(path)
 
     def visit(name: str, dataset: Any) -> None:
+        if not isinstance(dataset, h5py.Dataset):
+            return
+        # Reading would open any file of the user, or wait for a pipe. Even the size of a virtual
+        # data set depends on its sources.
+        if dataset.is_virtual:
+            sources = [source.file_name for source in dataset.virtual_sources()]
+            raise refuse(name, "a virtual data set", ", ".join(sorted(set(sources))))
+        if dataset.external:
+            raise refuse(name, "external storage", dataset.external[0][0])
         # Characters are numbers; '#refs#' holds targets of references in struct arrays.
-        if not isinstance(dataset, h5py.Dataset) or name.startswith("#"):
+        if name.startswith("#"):
             return
         is_number = dataset.attrs.get("MATLAB_class", b"") not in (b"char", b"cell")
         if is_number and dataset.dtype.kind in "fiuV" and "MATLAB_empty" not in dataset.attrs:
@@ -48,6 +73,9 @@ def read_hdf5_arrays(path: Path, kind: str, *, transposed: bool = False) -> dict
             )
 
     with readable(path, f"a {kind}"), h5py.File(path, "r") as file:
+        file.visititems_links(note_external_link)
+        for name, other_file in external_links.items():
+            raise refuse(name, "an external link to an object", other_file)
         file.visititems(visit)
     return arrays
 
