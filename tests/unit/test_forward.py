@@ -222,6 +222,14 @@ def test_impossible_simulations_are_refused(twin: dict[str, object]) -> None:
         hollow.run(cut_windows([log], 0.2))
 
 
+def test_a_diverging_simulation_says_nothing_of_the_body(twin: dict[str, object]) -> None:
+    robot = twin["robot"]
+    windows = cut_windows([twin["log"]], 0.2)
+    thrown = replace(windows, tau=1e12 * windows.tau)
+    possible = Simulator(robot=robot, parameters=robot.nominal_parameters, model=twin["law"])
+    assert max(error or np.inf for error in position_errors(possible.run(thrown), thrown)) > 1e6
+
+
 def test_windows_cover_a_log_after_its_run_in() -> None:
     t = 0.01 * np.arange(500)
     log = [axis_record(t, t, 2.0 * t, 3.0 * t)]
