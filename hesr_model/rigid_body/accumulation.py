@@ -100,7 +100,7 @@ class StreamedProblem:
         identification.require_speed(
             where, self._peaks, robot, np.full(robot.n, identification.MIN_PEAK_SPEED)
         )
-        scale = identification.compute_scale(robot, base, friction)
+        scale = identification.compute_scale(robot, base, friction, self._peaks)
         with threadpool_limits(1):
             is_loose = identification.find_loose_columns(robot, base, friction)
             factors = self._factors

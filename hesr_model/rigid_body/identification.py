@@ -362,10 +362,11 @@ def _identify(
     rows = sum(len(motion.t) for motion in all_motions)
     require_samples(where, rows, len(base) + int(np.sum(friction)))
     has_inertia = any(k < robot.inertial for k in base)
+    peaks = observations.peak_speeds(all_motions, robot)
     # A resting joint rests up to `MIN_PEAK_SPEED`, a slow one only up to a part of its peak.
     require_speed(
         where,
-        observations.peak_speeds(all_motions, robot),
+        peaks,
         robot,
         observations.find_min_speeds(all_motions, robot) if has_inertia else np.zeros(robot.n),
     )
@@ -379,7 +380,7 @@ def _identify(
     blocks = build_blocks(base)
     weighting = weighting or ("ols" if method == "paper" else "wls")
     gear_sizes = [np.sqrt(np.mean(form.columns**2, axis=0)) for form in forms]
-    scale = np.concatenate([compute_scale(robot, base, friction), *gear_sizes])
+    scale = np.concatenate([compute_scale(robot, base, friction, peaks), *gear_sizes])
     is_element = [np.arange(len(size)) >= FIXED for size in gear_sizes]
     is_loose = np.concatenate([find_loose_columns(robot, base, friction), *is_element])
     solution = solve(blocks, scale=scale, weighted=weighting == "wls", is_loose=is_loose)
@@ -427,10 +428,16 @@ def _make_consistent(
     )
 
 
-def compute_scale(robot: Robot, base: tuple[int, ...], friction: Mask) -> Array:
-    """Return the size of each column [N.m]; that of friction columns is 1."""
+def compute_scale(robot: Robot, base: tuple[int, ...], friction: Mask, peak_speeds: Array) -> Array:
+    """Return the size of each column [N.m]; that of friction columns is 1.
+
+    The column of viscous friction has the `peak_speeds` (n,) [rad/s] of slow joints instead, whose
+    friction would else count as undetermined, by the unit of their speed alone.
+    """
     body_scale = np.sqrt(np.mean(sample_regressor(robot)[:, list(base)] ** 2, axis=0))
-    return np.concatenate([body_scale, np.ones(int(np.sum(friction)))])
+    sizes = np.ones(friction.shape)
+    sizes[:, 1] = np.where(peak_speeds > 0.0, np.minimum(peak_speeds, 1.0), 1.0)
+    return np.concatenate([body_scale, sizes[friction]])
 
 
 def find_loose_columns(robot: Robot, base: tuple[int, ...], friction: Mask) -> Mask:

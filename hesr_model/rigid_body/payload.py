@@ -89,7 +89,8 @@ def identify_payload_motions(
     friction = observations.friction_columns(robot, columns)
     friction &= observations.find_determined_friction(payload_motions, robot)
     blocks = observations.stack_blocks(payload_motions, robot, columns, friction)
-    solution = solve(blocks, scale=compute_scale(robot, columns, friction), weighted=True)
+    peaks = observations.peak_speeds(payload_motions, robot)
+    solution = solve(blocks, scale=compute_scale(robot, columns, friction, peaks), weighted=True)
     if solution.ridge:
         raise FitError(
             f"{where}: the motion does not determine the payload (condition number "
