@@ -444,7 +444,7 @@ def _list_improvements(
     for sentence, names in advice.items():
         if names:
             yield f"{', '.join(names)}: {sentence}"
-    if not gear_ratio:
+    if not gear_ratio and not all(model.slides):  # ripple follows the turns of a motor
         yield "Add gear_ratio to the robot file to also fit motor ripple."
 
 

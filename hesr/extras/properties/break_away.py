@@ -73,7 +73,7 @@ def _judge_dissipation(generated: float, share: float, q: Array, tau: Array) -> 
     )
 
 
-STRETCH = 0.2  # [rad] at the friction level
+STRETCH = 0.2  # at the friction level, in lengths of the scale
 _STRETCHING_TIMES = 6.0  # run time in stretching times
 _TIME_STEP = 1e-2  # [s]
 _MAX_SPEED_SHARE = 0.2  # end of the examined curve, in trained speeds
@@ -87,10 +87,11 @@ def stick_slip(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
     """Pull the joints by springs at the speed where their steady curve falls most."""
     speeds, falls = zip(*(_find_steepest_fall(scale, j) for j in range(bench.joints)), strict=True)
     pulling_speeds = np.array(speeds)
-    seconds = _STRETCHING_TIMES * STRETCH / float(np.min(pulling_speeds))
-    bench.start(load=scale.load, torque=scale.offset, stiffness=scale.level / STRETCH)
+    level_stretch = STRETCH * scale.length
+    seconds = _STRETCHING_TIMES * float(np.max(level_stretch / pulling_speeds))
+    bench.start(load=scale.load, torque=scale.offset, stiffness=scale.level / level_stretch)
     rows = int(np.ceil(seconds / _TIME_STEP))
-    ahead = 0.5 * STRETCH
+    ahead = 0.5 * level_stretch
     t = _TIME_STEP * np.arange(1, rows + 1, dtype=float)
     link_position = bench.positions + ahead + pulling_speeds * t[:, None]
     q, dq, _ = bench.run(np.full(rows, _TIME_STEP), link=link_position)

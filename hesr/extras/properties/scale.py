@@ -65,15 +65,17 @@ def judge(
 
 CREEP = 0.01  # in largest trained speeds
 SLIDING = 0.1  # speed of the friction level, in largest trained speeds
-DEFLECTION = 1e-3  # [rad] default amplitude of pre-sliding
+DEFLECTION = 1e-3  # default amplitude of pre-sliding, in lengths of the scale
 
 INERTIA: Mapping[str, tuple[float, ...]] = {"uf850": (3.0, 3.0, 0.6)}
 """Inertia of the joints of shipped robots [kg.m2], the others at rest."""
 
 _MIN_FRICTION = 1e-6  # [N.m] minimum of a divisor
 _SPEED_SHARES = np.geomspace(1e-3, 1.0, 31)
-_DEFLECTION_RANGE = (ENCODER_NOISE, 1e-2)  # [rad] accepted range, from encoder resolution
-_RETURN_PATH = np.geomspace(1e-7, 0.5, 100)  # [rad] after a reversal
+_DEFLECTION_RANGE = (ENCODER_NOISE, 1e-2)  # accepted in lengths, from an encoder's resolution
+_RETURN_PATH = np.geomspace(1e-7, 0.5, 100)  # after a reversal, in lengths
+_LENGTH_TIME = 1.0  # [s] in which the largest trained speed covers a length
+_MAX_LENGTH = 1.0  # [rad]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,6 +83,7 @@ class Scale:
     """Sizes of a model's joints, (n,) unless noted."""
 
     speed: Array  # largest trained [rad/s]
+    length: Array  # of motions: the way of a second at that speed, at most a radian [rad]
     speeds: Array  # (S, n) steady sliding [rad/s]
     steady: Array  # (S, n) half the difference of both directions [N.m]
     level: Array  # absolute `steady` at `SLIDING` [N.m]
@@ -113,8 +116,9 @@ def measure_scale(bench: FrictionBench, speed: Array, load: float) -> Scale:
     creep_speed = CREEP * speed
     bench.start(load=load)
     sliding_torque = bench.move(np.array([bench.sliding_time]), creep_speed[None])[0]
+    length = np.minimum(_LENGTH_TIME * speed, _MAX_LENGTH)
     # All joints reach the same share of their path at once.
-    times = _RETURN_PATH / np.max(creep_speed)
+    times = _RETURN_PATH * np.max(length) / np.max(creep_speed)
     tau = bench.move(
         np.diff(times, prepend=0.0), np.broadcast_to(-creep_speed, (len(times), len(creep_speed)))
     )
@@ -125,15 +129,17 @@ def measure_scale(bench: FrictionBench, speed: Array, load: float) -> Scale:
     deflections = (times[:, None] * creep_speed)[
         np.argmax(return_share >= 0.5, axis=0), np.arange(bench.joints)
     ]
-    is_accepted = (deflections >= _DEFLECTION_RANGE[0]) & (deflections <= _DEFLECTION_RANGE[1])
+    shortest, longest = _DEFLECTION_RANGE
+    is_accepted = (deflections >= shortest * length) & (deflections <= longest * length)
     return Scale(
         speed=speed,
+        length=length,
         speeds=speeds,
         steady=steady_torque,
         level=np.maximum(np.abs(steady_torque[level_row]), _MIN_FRICTION),
         offset=offset[level_row],
         load=load,
-        deflection=np.where(is_accepted, deflections, DEFLECTION),
+        deflection=np.where(is_accepted, deflections, DEFLECTION * length),
     )
 
 
