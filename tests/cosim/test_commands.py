@@ -74,6 +74,9 @@ def test_results_of_calls_and_of_the_command_line_are_equal(
     assert written["law"].read_bytes() == written["other"].read_bytes()
     names = [one["name"] for one in FrictionModel.read(written["law"]).provenance["files"]]
     assert names == ["arm.xml", "body.json", "run.csv"]
+    adapted = hesr.fit(file, prior=written["law"], robot=arm.model, rigid_body=body, seed=3)
+    assert adapted.provenance["seed"] == 3
+    assert [one["name"] for one in adapted.provenance["files"]] == names
 
 
 def test_a_start_from_measured_torques_has_a_row_of_its_own(
@@ -145,6 +148,7 @@ def test_unusable_arguments_are_refused(
             lambda: hesr.excite("a", output="b", purpose="no"),
             "'purpose' is no; allowed are body, friction, test, all.",
         ),
+        (lambda: hesr.excite("a", output="b.csv", purpose="all"), "a: no such model file."),
         (lambda: hesr.test(table1, kind=["prediction"]), "'kind' prediction needs 'on', a log."),
         (lambda: hesr.fit("a.csv", law="no"), "law 'no' is unknown"),
         (lambda: hesr.fit("a.csv", law="lugre", add=["x"]), "'add' is 'x'; there are temperature"),

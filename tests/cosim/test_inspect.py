@@ -16,6 +16,7 @@ from cosim.study.results import read_findings
 from cosim.study.run import score_study
 from cosim.study.steps import Job
 from cosim.study.study import Study
+from cosim.workflow.inspect import inspect
 from hesr_model.errors import ArtifactError, LogError, RobotError
 from hesr_model.friction.records import predict_record
 from hesr_model.health.joints import apply_changes, remove_joints
@@ -81,6 +82,8 @@ def test_a_messy_log_gets_a_robot_file_that_reads_it(
     log = Log.read(messy, robot)
     assert len(log.parts()) == 2
     assert log.dropped == 2
+    [shown, *_] = inspect([messy], robot=written).tables()
+    assert "2 rows left out" in str(shown)
     # Constants from the model's gravity alone are rough but never of another unit.
     assert robot.log.torque_per_ampere == pytest.approx(GAINS, rel=0.5)
     html = page.read_text("utf-8")
