@@ -62,6 +62,8 @@ class FmuReport(Answer):
                 lines.append(f"  {hidden_count} more: --verbose lists them.")
             if report.coverage:
                 lines.append(f"  platforms: {report.coverage}")
+            if report.record:
+                lines.append(f"  record: {report.record}")
             lines += [f"  not run: {reason}" for reason in report.skipped]
         return lines
 

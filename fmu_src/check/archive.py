@@ -3,6 +3,7 @@
 Names of entries are never used as paths. XML has no DTD and no entities, and is bounded in size.
 """
 
+import hashlib
 import re
 import zipfile
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ from xml.parsers import expat
 from lxml import etree
 
 from fmu_src.check.rules import Problem
+from fmu_src.export import record
 from fmu_src.run.archive import (
     DAMAGED,
     MAX_ENTRIES,
@@ -28,7 +30,7 @@ from fmu_src.run.archive import (
 )
 from fmu_src.run.instance import DiedError
 from fmu_src.run.sandbox import run_in_sandbox
-from hesr_model.support.text import quote, quote_names, sanitise
+from hesr_model.support.text import join_few, quote, quote_names, sanitise
 
 MAX_XML_BYTES = 64 << 20
 MAX_XML_NODES = 2_000_000
@@ -142,6 +144,23 @@ class Contents:
     def read(self, name: str) -> bytes:
         """Return the content of a readable file."""
         return self.files[name].read_bytes()
+
+
+def compare_with_record(contents: Contents) -> Iterator[Problem]:
+    """Yield how an FMU of HESR differs from what was exported."""
+    if record.MEMBER not in contents.files:
+        return
+    hashes = {}
+    for name in contents.files:
+        if name != record.MEMBER:
+            hashes[name] = hashlib.sha256(contents.read(name)).hexdigest()
+    try:
+        changes = list(record.find_changes(contents.read(record.MEMBER), hashes))
+    except ValueError as error:  # also of JSON and text
+        yield "archive-changed", f"{record.MEMBER} cannot be read: {sanitise(str(error))}."
+        return
+    if changes:
+        yield "archive-changed", f"it is not as it was exported: {join_few(changes)}."
 
 
 def unpack(path: Path, folder: Path) -> Contents:

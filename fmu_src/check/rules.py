@@ -57,6 +57,7 @@ RULES: Mapping[str, Rule] = {
     "archive-backslash": Rule("error", "backslashes in names", _ARCHIVE),
     "archive-duplicate": Rule("error", "names that occur twice", _ARCHIVE),
     "archive-case": Rule("warning", "names that differ in case alone", _ARCHIVE),
+    "archive-changed": Rule("warning", "contents other than recorded at the export", _ARCHIVE),
     "archive-large": Rule("warning", "entries too large to be checked", _ARCHIVE),
     "xml-unreadable": Rule("error", "missing, malformed or oversized XML, wrong root", _XML),
     "xml-encoding": Rule("error", "XML in another encoding than UTF-8", _XML),

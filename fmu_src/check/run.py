@@ -13,6 +13,7 @@ from fmu_src.check.archive import Contents
 from fmu_src.check.description import ParsedDescription, read_description
 from fmu_src.check.description_rules import RULES, RULES_2, RULES_3, TERMINALS, terminal_problems
 from fmu_src.check.rules import Problem
+from fmu_src.export.record import MEMBER
 from hesr_model.errors import ConfigError
 from hesr_model.findings import SEVERITIES, Finding, sort_by_severity
 from hesr_model.support import plugins
@@ -30,13 +31,14 @@ class Report:
     """Findings of all checks in one FMU, and reasons for validators that were not run.
 
     `platforms` are those that have a binary; for an SSP, those that all its FMUs share. None if
-    the archive has no FMU.
+    the archive has no FMU. `record` says that an FMU of HESR is as it was exported.
     """
 
     path: Path
     problems: tuple[Finding, ...]
     skipped: tuple[str, ...]
     platforms: tuple[str, ...] | None = None
+    record: str = ""
 
     @property
     def coverage(self) -> str:
@@ -68,6 +70,7 @@ class Report:
             "problems": [to_json(finding) for finding in self.problems],
             "skipped": list(self.skipped),
             "platforms": list(self.platforms or ()),
+            "record": self.record,
         }
 
 
@@ -91,6 +94,7 @@ def check(path: Path, *, vdmcheck: Path | None = None, kinds: Iterable[str] = ()
         problems=tuple(sort_by_severity(check_run.problems)),
         skipped=tuple(check_run.skipped),
         platforms=binaries.platforms(contents) if _MODEL in contents.names else None,
+        record=check_run.record,
     )
 
 
@@ -103,6 +107,7 @@ class _CheckRun:
         self._kinds = kinds
         self.problems: list[Finding] = []
         self.skipped: list[str] = []
+        self.record = ""
 
     def _add(self, problems: Iterable[Problem]) -> bool:
         """Add findings; return whether one is an error."""
@@ -119,6 +124,10 @@ class _CheckRun:
         if not contents.names and contents.problems:
             self.skipped.append("All other checks: not run; the archive could not be read.")
             return
+        changes = list(archive.compare_with_record(contents))
+        self._add(changes)
+        if MEMBER in contents.files and not changes:
+            self.record = "unchanged since its export."
         self._add(sources.machine_paths(contents))
         self.skipped += sources.find_skipped_libraries(contents)
         root, texts = _model(contents)

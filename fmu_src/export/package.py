@@ -10,10 +10,10 @@ from datetime import datetime
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 from uuid import UUID
 
-from fmu_src.export import description3
+from fmu_src.export import description3, record
 from fmu_src.export.description import Description, to_xml
 from fmu_src.export.interface import NAME, Interface, to_c
 from fmu_src.export.toolchain import HOST, Target, build, targets
@@ -69,7 +69,8 @@ class Content:
     """Contents of the FMU of a component.
 
     All .c files of `sources` form one translation unit. `stimuli` are the inputs of reference
-    results, unless the members already contain results.
+    results, unless the members already contain results. `origin` is JSON data on what the component
+    was made from, for the record of the FMU, which has none without.
     """
 
     table: Interface
@@ -79,6 +80,7 @@ class Content:
     libraries: Mapping[str, Binary] = field(default_factory=dict)
     stimuli: Stimuli | None = None
     terminals: Sequence[description3.Terminal] = ()
+    origin: Mapping[str, Any] = field(default_factory=dict)
 
 
 def read_c_source(name: str) -> str:
@@ -165,6 +167,8 @@ def write_fmu(
                     members[f"binaries/{folder}/{binary.name}"] = binary.content
     if content.stimuli:
         members |= result_files(members, content.stimuli)
+    if content.origin:
+        members[record.MEMBER] = record.write_record(members, content.origin)
     write_archive(members, path, about.created)
     remember(path)
     return path

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from functools import partial
 from math import inf
 from pathlib import Path
+from typing import Any
 
 from fmu_src.export import package
 from fmu_src.export.description import RELEASE_DATE, Description
@@ -22,21 +23,23 @@ from fmu_src.friction.discrete_fmu import (
 )
 from fmu_src.friction.embedded_model import embed_model
 from fmu_src.friction.friction_component import POWER, friction_equations
-from fmu_src.friction.reference import reference_files
+from fmu_src.friction.reference import reference_files, reference_motion
 from fmu_src.friction.validity import require_numbers
-from fmu_src.pages.datasheet import ModelAudit
+from fmu_src.pages.datasheet import ModelAudit, ranges
 from fmu_src.pages.friction_page import model_title, to_html
 from fmu_src.pages.live import live_assets, live_data, live_section, wasm
 from fmu_src.pages.picture import model_png
+from hesr_model.audit.certificate import Certificate
 from hesr_model.audit.properties import Properties
 from hesr_model.equations.component import Equation
-from hesr_model.errors import ExportError
+from hesr_model.errors import ExportError, HesrError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.thermal_law import thermal_component
 from hesr_model.robots.description import statements
 from hesr_model.support import plugins
 from hesr_model.support.owner import Owner
 from hesr_model.support.progress import Progress, silent
+from hesr_model.support.version import __version__
 
 # Range of dates in a ZIP archive.
 _FIRST_DATE = datetime(1980, 1, 1, tzinfo=UTC)
@@ -129,6 +132,7 @@ def _add_documentation(
         picture = model_png(model)
         live = live_section(live_data(model, bare.table, module.result()))
         live += live_assets(fit_tables=True)
+    audit = audit or _examine(model)
     sheet = plugins.find("hesr.sheets", "properties") if properties else None
     page = sheet(properties, sliding=model.sliding) if sheet else ""
     html = to_html(model, bare.table, bare.about, live=live, properties=page, audit=audit)
@@ -138,7 +142,39 @@ def _add_documentation(
         **bare.members,
         **reference_files(model, bare.about.identifier),
     }
-    return replace(bare, members=members)
+    certificates = audit.certificates if audit else ()
+    return replace(bare, members=members, origin=describe_origin(model, certificates))
+
+
+def _examine(model: FrictionModel) -> ModelAudit | None:
+    """Return the audit of a model, None if its torque has no audit; the page says why."""
+    try:
+        return ModelAudit.from_model(model, ranges(model, reference_motion(model)))
+    except HesrError:
+        return None
+
+
+def describe_origin(
+    model: FrictionModel, certificates: Sequence[Certificate] = ()
+) -> dict[str, Any]:
+    """Return what a model was made from, its errors and certificates, as JSON data."""
+    joints: list[dict[str, Any]] = [{"joint": name} for name in model.joints]
+    for j, entry in enumerate(joints):
+        if model.training_rmse:
+            entry["training_rmse"] = model.training_rmse[j]
+        if model.left_out_rmse:
+            entry["left_out_rmse"] = model.left_out_rmse[j]
+        if certificates:
+            entry["passivity"] = certificates[j].label
+            entry["storage"] = certificates[j].storage
+            entry["rests_on"] = list(certificates[j].rests_on)
+    return {
+        "law": model.law,
+        "robot": model.robot,
+        "hesr": __version__,
+        "joints": joints,
+        "provenance": model.provenance,
+    }
 
 
 def _component(
@@ -179,6 +215,7 @@ def build_bare_content(
         about=about,
         sources=package.equation_sources(header),
         members=embed_model(model),
+        origin=describe_origin(model),
     )
 
 

@@ -30,7 +30,7 @@ from fmu_src.friction.friction_component import (
     start_mode,
     to_sliding,
 )
-from fmu_src.friction.friction_fmu import describe_fmu
+from fmu_src.friction.friction_fmu import describe_fmu, describe_origin
 from fmu_src.friction.validity import require_exportable
 from fmu_src.pages.friction_page import drive_html, model_title
 from fmu_src.plant.dynamics import change_header, dynamics_header, tool_header
@@ -486,4 +486,5 @@ def content(
         members=members,
         stimuli=Stimuli(step=SUBSTEP, inputs=inputs),
         terminals=(_JOINTS,),
+        origin={} if bare else describe_origin(model),
     )

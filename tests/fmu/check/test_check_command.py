@@ -38,6 +38,7 @@ def bad(source_fmu, tmp_path):
     )
 
 
+RECORD = "record: unchanged since its export."
 NO_VDMCHECK = "not run: VDMCheck2: --vdmcheck names no folder of it."
 PLATFORMS = "platforms: linux64; no binary for tools on Windows and macOS."
 PROBLEM = "modelDescription.xml: it holds '/home/anna/x'"
@@ -45,7 +46,12 @@ PROBLEM = "modelDescription.xml: it holds '/home/anna/x'"
 
 def test_a_valid_fmu_passes(table1_fmu):
     found = hesr("check", table1_fmu)
-    lines = [f"{table1_fmu}: no finding.", f"  {PLATFORMS}", f"  {NO_VDMCHECK}"]
+    lines = [
+        f"{table1_fmu}: no finding.",
+        f"  {PLATFORMS}",
+        f"  {RECORD}",
+        f"  {NO_VDMCHECK}",
+    ]
     assert found == Answer(0, lines, "")
 
 
@@ -73,6 +79,7 @@ def test_problems_are_printed(source_fmu, bad, tmp_path):
         "problems": [],
         "skipped": skipped,
         "platforms": [],
+        "record": "",
     }
     assert [(p["check"], p["found"]) for p in second["problems"]] == [
         ("machine-path", Containing(PROBLEM))
@@ -111,7 +118,7 @@ def test_an_fmu_is_required():
 def test_hostile_masters_are_simulated(make_law, make_model, tmp_path):
     fmu = export_fmu(make_model(make_law("lugre")), tmp_path / "F.fmu")
     found = hesr("check", fmu, "--kind", "hostile", "--json", tmp_path / "o.json")
-    lines = [f"{fmu}: no finding.", f"  {PLATFORMS}", f"  {NO_VDMCHECK}"]
+    lines = [f"{fmu}: no finding.", f"  {PLATFORMS}", f"  {RECORD}", f"  {NO_VDMCHECK}"]
     assert found == Answer(0, lines, "")
     assert json.loads((tmp_path / "o.json").read_text(encoding="utf-8"))["passed"]
 
