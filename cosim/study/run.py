@@ -15,6 +15,7 @@ from cosim.study.position_errors import SIMULATION, simulate_tests
 from cosim.study.replicates import Replicates, write_replicates
 from cosim.study.results import TRUTHS, ScoredRun, record_files, save_run, write_findings
 from cosim.study.scores import Errors, LogRecords, select_records
+from cosim.study.shipped_studies import DEFAULT, find_shipped_studies
 from cosim.study.steps import Job, map_models
 from cosim.study.study import Study
 from cosim.study.verdict import Verdict, judge_run, write_verdict
@@ -36,7 +37,7 @@ from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot
 from hesr_model.support import parallel
 from hesr_model.support.cache import USED, count_hits
-from hesr_model.support.files import folder_written_whole, models_folder, newest, provenance
+from hesr_model.support.files import folder_written_whole, newest, provenance
 from hesr_model.support.progress import Stages, silent
 from hesr_model.support.typed_files import to_json, write_json
 
@@ -356,10 +357,12 @@ def checkpoint_folder(output: Path) -> Path:
 
 
 def _command(study: Path, platforms: Sequence[str], *, quick: bool) -> str:
-    default = models_folder() / "studies" / "default.toml"
     words = ["hesr run"]
-    if study.resolve() != default.resolve():
-        words.append(study.name if study.is_absolute() else study.as_posix())
+    shipped_names = {path.resolve(): name for name, path in find_shipped_studies().items()}
+    name = shipped_names.get(study.resolve(), "")
+    if name != DEFAULT:
+        path = study.name if study.is_absolute() else study.as_posix()
+        words.append(name or path)
     if set(platforms) != set(DEFAULT_PLATFORMS):
         words += [f"--platform {platform}" for platform in platforms]
     return " ".join([*words, "--quick"] if quick else words)

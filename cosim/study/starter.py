@@ -41,6 +41,7 @@ class NewProject:
     locked: Mapping[str, float] = field(default_factory=dict)  # positions of others [rad or m]
     doubts: tuple[Finding, ...] = ()
     bench: str = ""  # kind of a bench, or "twin", whose folder has no logs and no study
+    source: str = ""  # public repository of its logs
 
 
 def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:

@@ -28,6 +28,7 @@ def new(
     joints: Names = (),
     bench: BenchKind | None = None,
     twin: bool = False,
+    public: PathArg | None = None,
     inertia: PerJoint | None = None,
     gravity: bool = False,
     moment: PerJoint | None = None,
@@ -55,6 +56,8 @@ def new(
         Kind of a bench: motors or sliding axes without a model file.
     twin : bool
         A digital twin instead of a robot: 'hesr simulate' makes the logs of its motions.
+    public : path, optional
+        Clone of a public repository with the logs of a measured robot; docs/data.md lists them.
     inertia : float or sequence of float, kg m2 or kg, optional
         Bench: inertia, or mass of a sliding axis, one for all or one per joint; default:
         identified.
@@ -90,11 +93,13 @@ def new(
         $ hesr new my_arm --robot my_arm.urdf
         $ hesr new my_motor --bench rotary --log torque_per_ampere=0.2 --source datasheet
         $ hesr new my_lift --bench sliding --gravity --inertia 80
+        $ hesr new ur10e --public dynamic_calibration
 
     >>> import hesr
     >>> hesr.new("my_arm", "arm.xml").joints
     ('j1', 'j2', 'j3')
     """
+    from cosim.study.public_logs import start_public
     from cosim.study.starter import Bench, start, start_bench, start_twin
 
     project_folder = to_path(folder, "'folder'")
@@ -103,10 +108,16 @@ def new(
     numbers = _list_numbers(
         {"inertia": inertia, "moment": moment, "phase": phase, "gear_ratio": gear_ratio}
     )
+    own_robots = {"twin": twin or None, "public": public}
+    for name, value in own_robots.items():
+        others = {"robot": robot, "bench": bench, **own_robots, name: None}
+        for other, stated_value in others.items():
+            if value is not None and stated_value is not None:
+                raise ArgumentError(f"'{name}' excludes '{other}'; it has a robot of its own.")
     if twin:
-        if robot is not None or bench is not None:
-            raise ArgumentError("'twin' excludes 'robot' and 'bench'; it has a robot of its own.")
         return start_twin(project_folder)
+    if public is not None:
+        return start_public(project_folder, to_path(public, "'public'"))
     if bench is None:
         _refuse_bench_options(numbers, log, source, gravity=gravity)
         if robot is None:
@@ -177,9 +188,9 @@ def answer(project: NewProject, _: PathArg | None) -> Answer:
         positions = join_few([f"{name} = {q:.4g}" for name, q in project.locked.items()])
         lines.append(f"Locked [rad or m]: {positions}; --joints selects other joints.")
     lines += [finding.sentence for finding in project.doubts]
-    lines += [
-        f"Its logs are sample data; replace them with yours: see {guide}.",
-        f"Next: hesr run {study}",
-    ]
+    logs_text = f"Its logs are sample data; replace them with yours: see {guide}."
+    if project.source:
+        logs_text = f"Its logs are those of {project.source}."
+    lines += [logs_text, f"Next: hesr run {study}"]
     data = {"joints": list(project.joints), "locked": dict(project.locked)}
     return Written(format="hesr-project-1", lines=lines, data=data)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 from cosim.workflow.answer import Answer, Written, find_job, finding_lines, shorten_lines
 from cosim.workflow.arguments import list_names, require_number
 from hesr_model.support import plugins
-from hesr_model.support.files import PathArg, models_folder, to_path
+from hesr_model.support.files import PathArg, to_path
 from hesr_model.support.progress import Interrupted, Stages, silent
 from hesr_model.support.text import join_few
 
@@ -242,8 +242,8 @@ def run(
     Parameters
     ----------
     study : path, optional
-        Study (.toml), or paper, the shipped study of the paper's claims; by default the digital
-        twin.
+        Study (.toml), or the name of a shipped one: ur10, fretting and cylinder are measured, paper
+        has the claims of the paper; by default the digital twin.
     output : path, optional
         Folder of the results; by default results/NAME.
     platform : str or sequence of str, optional
@@ -278,6 +278,7 @@ def run(
 
         $ hesr run tests/real/ur10e_study.toml -o results/ur10e
         $ hesr run --quick --seeds 20
+        $ hesr run ur10
         $ hesr run paper
 
     >>> import hesr
@@ -326,11 +327,12 @@ def run(
 
 def _find_study(study: PathArg | None) -> Path:
     """Return the file of a study: a path, the name of a shipped study, or the digital twin."""
-    shipped_folder = models_folder() / "studies"
-    path = to_path(study or shipped_folder / "default.toml", "'study'")
-    shipped = shipped_folder / f"{path.name}.toml"
+    from cosim.study.shipped_studies import DEFAULT, find_shipped_studies
+
+    shipped_studies = find_shipped_studies()
+    path = to_path(study or shipped_studies[DEFAULT], "'study'")
     is_name = path == Path(path.name) and not path.is_file()
-    return shipped if is_name and shipped.is_file() else path
+    return shipped_studies.get(path.name, path) if is_name else path
 
 
 def _run_draws(

@@ -1,0 +1,105 @@
+"""Studies of measured robots by name, and of public logs from a clone of their repository."""
+
+import gzip
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from documents import ROOT
+
+import hesr
+from cosim.study.public_logs import list_sources
+from cosim.study.shipped_studies import find_shipped_studies
+from cosim.study.study import Study
+from hesr_model.errors import ArgumentError, ConfigError
+
+SHARED = ROOT.parent / "shared"
+RAW = SHARED / "raw" / "ur10e"
+MEASURED = ("cylinder", "fretting", "ur10")
+[UR10E] = list_sources()
+
+
+@pytest.fixture
+def clone(tmp_path: Path) -> Path:
+    """A clone of the UR10e's repository, from its raw files."""
+    if not RAW.is_dir():
+        pytest.skip("needs the logs in ../shared/raw")
+    folder = tmp_path / "clone"
+    for entry in UR10E.logs.values():
+        path = folder / UR10E.folder / entry["file"]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(gzip.decompress((RAW / f"{path.name}.gz").read_bytes()))
+    model_path = folder / UR10E.model
+    model_path.parent.mkdir(parents=True)
+    shutil.copyfile(SHARED / "data" / "ur10e" / "ur10e.urdf", model_path)
+    return folder
+
+
+def test_a_clone_becomes_the_logs_of_the_study(clone: Path, tmp_path: Path) -> None:
+    project = hesr.new(tmp_path / "ur10e", public=clone)
+    assert len(project.joints) == 6
+    for name in UR10E.logs:
+        written = (tmp_path / "ur10e" / name).read_bytes()
+        assert written == (SHARED / "data" / "ur10e" / name).read_bytes()
+    study = Study.read(tmp_path / "ur10e" / "study.toml")
+    assert set(study.logs.identification) <= set(UR10E.logs)
+
+
+@pytest.mark.parametrize("change", ["row", "text", "missing"])
+def test_another_commit_is_refused(clone: Path, tmp_path: Path, change: str) -> None:
+    path = clone / UR10E.folder / UR10E.logs["id_fourier_20s_5harm.csv"]["file"]
+    text = path.read_text(encoding="utf-8")
+    if change == "missing":
+        path.unlink()
+    else:
+        path.write_text(f"{text.splitlines()[0]}\n{text}" if change == "row" else "no log\n")
+    with pytest.raises(ConfigError) as caught:
+        hesr.new(tmp_path / "ur10e", public=clone)
+    assert caught.value.code == ("public.missing" if change == "missing" else "public.changed")
+    assert not (tmp_path / "ur10e").exists()
+
+
+def test_other_folders_are_no_clone(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as caught:
+        hesr.new(tmp_path / "ur10e", public=tmp_path)
+    assert caught.value.code == "public.unknown"
+
+
+@pytest.mark.parametrize("other", [{"twin": True}, {"bench": "rotary"}, {"robot": "arm.urdf"}])
+def test_a_clone_excludes_other_robots(tmp_path: Path, other: dict[str, object]) -> None:
+    with pytest.raises(ArgumentError, match="public"):
+        hesr.new(tmp_path / "ur10e", public=tmp_path, **other)  # type: ignore[arg-type]
+
+
+def test_the_page_has_the_recorded_sources() -> None:
+    page = (ROOT / "docs" / "data.md").read_text(encoding="utf-8")
+    assert UR10E.commit in page
+    for name, entry in UR10E.logs.items():
+        first_row, end_row = entry["rows"]
+        assert (
+            f"| `{name}` | `{entry['file']}` | {first_row} to {end_row - 1} | `{entry['sha256']}` |"
+            in page
+        )
+
+
+def test_the_study_of_a_clone_is_that_of_the_readme() -> None:
+    def without_folders(path: Path) -> str:
+        text = re.sub(r"^#.*\n", "", path.read_text(encoding="utf-8"), count=1)
+        return text.replace("../../../shared/data/ur10e/", "").replace("ur10e.toml", "robot.toml")
+
+    shipped = ROOT / "models" / "public" / "ur10e"
+    real = ROOT / "tests" / "real"
+    assert without_folders(shipped / "study.toml") == without_folders(real / "ur10e_study.toml")
+    assert without_folders(shipped / "robot.toml") == without_folders(real / "ur10e.toml")
+
+
+@pytest.mark.parametrize("name", MEASURED)
+def test_measured_robots_ship_with_sources(name: str) -> None:
+    folder = find_shipped_studies()[name].parent
+    assert list(folder.glob("LICENSE*"))
+    assert re.search(r"commit `[0-9a-f]{40}`", (folder / "README.md").read_text(encoding="utf-8"))
+    logs = Study.read(folder / "study.toml").logs
+    parts = {name: part.log for name, part in logs.parts.items()}
+    for log in logs.identification:
+        assert (folder / parts.get(log, log)).is_file()
