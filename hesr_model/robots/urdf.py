@@ -110,7 +110,11 @@ def _complete_joint(path: Path, joint: Element) -> None:
         return
     limit = joint.find("limit")
     if limit is None:
-        limit = SubElement(joint, "limit", lower=f"{-UNLIMITED:g}", upper=f"{UNLIMITED:g}")
+        limit = SubElement(joint, "limit")
+    # A lower or upper limit alone has 0 as its counterpart; where neither is stated, none is meant.
+    if limit.get("lower") is None and limit.get("upper") is None:
+        limit.set("lower", f"{-UNLIMITED:g}")
+        limit.set("upper", f"{UNLIMITED:g}")
     for key in ("lower", "upper", "effort", "velocity"):
         value = np.clip(float(limit.get(key, "0")), -UNLIMITED, UNLIMITED)
         limit.set(key, limit.get(key, "0") if abs(value) < UNLIMITED else f"{value:g}")

@@ -210,3 +210,16 @@ def test_a_template_is_not_read_as_a_robot(tmp_path: Path) -> None:
     with pytest.raises(RobotError) as caught:
         Robot(path)
     assert f"{path}: is a xacro template" in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_a_limit_without_positions_states_none(tmp_path: Path, kind: str) -> None:
+    """Of one position the other is 0; without both, they are not 0 and 0."""
+    speed = {"kind": kind, "more": '<limit effort="5" velocity="3"/>'}
+    upper = {"kind": kind, "more": '<limit upper="2" effort="5" velocity="3"/>'}
+    zeros = {"kind": kind, "more": '<limit lower="0" upper="0" effort="5" velocity="3"/>'}
+    robot = Robot(chain(tmp_path, speed, upper, zeros))
+    np.testing.assert_array_equal(robot.limits[0], [-np.inf, 0.0, -np.inf])
+    np.testing.assert_array_equal(robot.limits[2], [3.0, 3.0, 3.0])
+    checks = {doubt.joints: doubt.check for doubt in robot.doubts}
+    assert checks == {("j1",): "no-limits", ("j3",): "odd-limits"}
