@@ -1,5 +1,7 @@
 """Proposal of a robot file: guessed from column names, corrected until the checks pass."""
 
+import re
+import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -44,10 +46,9 @@ from hesr_model.support.text import to_toml
 
 _ROUNDS = 4
 _CUTOFF_SHARE = 0.3  # low pass over the sample rate
+_PRINTED_LINE = re.compile(r"\[log\] (\w+ = (?:'[^']*'|[\w.+]+))")
 _REMEDIES = (
     ("sample_rate", "log.sample_rate", None),
-    ("sort = true", "log.sort", True),
-    ("duplicates = 'first'", "log.duplicates", "first"),
     ("finite number is needed", "log.missing", "drop"),
     ("is nan;", "log.missing", "drop"),
 )  # Words of a refusal, and the key and value of the robot file that remove it
@@ -287,11 +288,21 @@ def _read_logs(
         return description, [Log.read(path, description) for path in paths]
     except LogError as error:
         message = str(error)
-        for words, key, value in _REMEDIES:
-            if words in message and key not in reasons:
+        for key, value in _read_remedies(message):
+            if key not in reasons:
                 reasons[key] = f"sure: {message.split(': ', 1)[-1].rstrip('.')}"
                 return _read_logs(paths, apply_changes(description, {key: value}), reasons)
         raise
+
+
+def _read_remedies(message: str) -> Iterator[tuple[str, Any]]:
+    """Yield keys and values of the robot file that remove a refusal, first those it prints."""
+    for line in _PRINTED_LINE.findall(message):
+        ((key, value),) = tomllib.loads(line).items()
+        yield f"log.{key}", value
+    for words, key, value in _REMEDIES:
+        if words in message:
+            yield key, value
 
 
 def _limit_cutoff(

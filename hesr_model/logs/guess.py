@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
+from itertools import chain, product
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +23,14 @@ from hesr_model.logs.column_names import (
     split_tokens,
 )
 from hesr_model.logs.kinematics import DerivativeMatch, match_derivative
-from hesr_model.logs.log_table import LogTable
+from hesr_model.logs.log_table import (
+    FRACTION_ENDINGS,
+    SECONDS_ENDINGS,
+    LogTable,
+    find_fraction_unit,
+    is_seconds_and_fraction,
+    remove_brackets,
+)
 from hesr_model.support.arrays import Array
 from hesr_model.units import COMMON_UNITS, find_si_factor
 
@@ -32,9 +39,6 @@ _PLAUSIBLE_RATES = (5.0, 20_000.0)  # plausible sample rates [Hz]
 _MAX_CANDIDATES = 8  # of a quantity that are tried
 _MAX_LOG_RATIO = 0.1  # of a derivative and a velocity in the units of their names
 _QUANTITIES = ("temperature", "dq", "q", "tau", "current")
-# Suffixes of stamps in two columns, as of ROS.
-_SECONDS_SUFFIXES = ("sec", "secs", "seconds", "s")
-_NANOSECONDS_SUFFIXES = ("nanosec", "nsec", "nsecs", "nanosecs", "nanoseconds", "ns")
 _SUPPLY_WORDS = frozenset(("id", "bus", "supply", "dc", "battery", "input"))
 
 
@@ -388,13 +392,35 @@ def _find_time_names(table: LogTable) -> list[str]:
 
 def _find_time_pairs(table: LogTable) -> list[tuple[str, str]]:
     """Return columns of whole seconds with columns of the nanoseconds since, as of ROS."""
+    fraction_endings = tuple(chain.from_iterable(FRACTION_ENDINGS.values()))
+    seconds_by_stem = _find_stems(table.names, SECONDS_ENDINGS)
+    fractions_by_stem = _find_stems(table.names, fraction_endings)
     pairs = []
-    for name in table.names:
-        for seconds, nanoseconds in product(_SECONDS_SUFFIXES, _NANOSECONDS_SUFFIXES):
-            if name.endswith(seconds):
-                partner = f"{name.removesuffix(seconds)}{nanoseconds}"
-                pairs += [(name, partner)] if partner in table.names else []
+    for stem, seconds in seconds_by_stem.items():
+        fraction = fractions_by_stem.get(stem, seconds)
+        if fraction != seconds and _is_pair(table, seconds, fraction):
+            pairs.append((seconds, fraction))
     return pairs
+
+
+def _find_stems(names: Sequence[str], endings: Sequence[str]) -> dict[str, str]:
+    """Return the names that have one of some endings, by what is before it in lower case."""
+    stems = {}
+    for name in names:
+        plain = remove_brackets(name).strip().lower()
+        for ending in sorted(endings, key=len, reverse=True):
+            if plain.endswith(ending):
+                stems[plain.removesuffix(ending)] = name
+                break
+    return stems
+
+
+def _is_pair(table: LogTable, seconds: str, fraction: str) -> bool:
+    try:
+        values = table.numbers((seconds, fraction), missing=True)
+    except LogError:
+        return False
+    return is_seconds_and_fraction(values, find_fraction_unit(fraction))
 
 
 def _rises(table: LogTable, name: str | tuple[str, str]) -> bool:
@@ -408,7 +434,7 @@ def _rises(table: LogTable, name: str | tuple[str, str]) -> bool:
 
 def _guess_time_unit(table: LogTable, name: str | tuple[str, str]) -> tuple[str, str]:
     if not isinstance(name, str):
-        return "s", f"seconds and nanoseconds: {name[0]}, {name[1]}"
+        return "s", f"whole seconds, and {find_fraction_unit(name[1])} since: {', '.join(name)}"
     stamps = table.times(name, 1.0, missing=True)
     period = float(np.median(np.diff(stamps[np.isfinite(stamps)])))
     lowest_rate, highest_rate = _PLAUSIBLE_RATES

@@ -65,7 +65,8 @@ OPTIONAL = {"q_cmd": "q_cmd{}", "dq_cmd": "dq_cmd{}", "temperature": "temperatur
 class LogColumns(Config):
     """Column names; `dq = ""` derives velocity, default commands and temperatures are optional.
 
-    `t` may be two columns, of seconds and of the nanoseconds since. `q = ""` integrates velocity.
+    `t` may be two columns, of whole seconds and of the nanoseconds since, or of the unit that the
+    second name ends with, as in ``tv_usec``. `q = ""` integrates velocity.
     `q_link` names encoders behind elastic gears, whose motors then have `q`, divided by the gear.
     A list instead of the table, or `names`, names all columns of files without a header, in order.
     """
@@ -191,7 +192,8 @@ class LogFormat(Config):
 
     `sample_rate` [Hz] is checked; `rate` [Hz] replaces a missing time column. Rows are `missing`
     with an empty cell, NaN or a repeated stamp; of `duplicates`, rows that repeat a stamp, the
-    first is kept; `sort` orders rows by time.
+    first is kept; `sort` orders rows by time. Stamps begin again after `wrap` of their unit, as of
+    a counter; where they `restart`, time goes on after a gap.
     `filter_cutoff` [Hz] applies to q and dq; `zero` [rad; m] is the joint position at a logged 0;
     `torque_per_ampere` [N.m/A] turns currents into torques.
     """
@@ -201,6 +203,8 @@ class LogFormat(Config):
     missing: Literal["refuse", "drop"] = "refuse"
     duplicates: Literal["refuse", "first"] = "refuse"
     sort: bool = False
+    wrap: float | None = Field(default=None, gt=0)
+    restart: Literal["refuse", "gap"] = "refuse"
     filter_cutoff: float = Field(default=15.0, gt=0)
     columns: LogColumns = LogColumns()
     units: LogUnits = LogUnits()

@@ -1,5 +1,6 @@
 """A table of numbers, with messages that name the wrong cell."""
 
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -16,6 +17,14 @@ _MAX_COLUMNS = 10_000
 _MAX_NAMES = 30  # names in a sentence
 _MAX_NAME_LENGTH = 60  # characters of a name
 _UNITS = {"D": 86400.0, "m": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # of times [s]
+_NANOSECONDS = {"ns": 1, "us": 1_000, "ms": 1_000_000}
+FRACTION_ENDINGS = {
+    "ns": ("nanosec", "nanosecs", "nanoseconds", "nsec", "nsecs", "ns"),
+    "us": ("microsec", "microsecs", "microseconds", "usec", "usecs", "us"),
+    "ms": ("millisec", "millisecs", "milliseconds", "msec", "msecs", "ms"),
+}  # of names of columns, in lower case
+SECONDS_ENDINGS = ("seconds", "secs", "sec", "s")
+_BRACKETED = re.compile(r"[\[(<][^\[\]()<>]*[\])>]")
 _MAX_SECONDS = 9e9  # whose nanoseconds 64 bits hold
 _SINCE_1970 = 1e8  # [s]; larger stamps count from an epoch
 
@@ -94,7 +103,8 @@ class LogTable:
     def times(self, name: str | tuple[str, str], unit: float, *, missing: bool = False) -> Array:
         """Return time stamps (N,) [s], given in `unit` [s]; dates from the first one.
 
-        Of two columns, the first one has seconds, the second one nanoseconds since.
+        Of two columns, the first one has whole seconds, the second one nanoseconds since, or
+        what its name says.
         """
         stamps, unit = self._read_stamps(name, unit, missing)
         first_stamps = stamps
@@ -122,18 +132,27 @@ class LogTable:
         is_integer = _find_kind(cells) in "iu"
         return (cells if is_integer else self._to_floats(name, cells, missing=missing)), unit
 
-    def _join_stamps(self, seconds: str, nanoseconds: str, *, missing: bool) -> Any:
-        """Return stamps (N,) [ns]; whole numbers stay exact."""
-        columns: list[Any] = [self._find_column(name) for name in (seconds, nanoseconds)]
-        is_exact = all(
-            _find_kind(cells) in "iu" and np.max(np.abs(cells), initial=0) < _MAX_SECONDS
-            for cells in columns
-        )
-        if is_exact:
-            whole_seconds, remainder = (np.asarray(cells, dtype=np.int64) for cells in columns)
-            return whole_seconds * 1_000_000_000 + remainder
-        values = self.numbers((seconds, nanoseconds), missing=missing)
-        return values[:, 0] * 1e9 + values[:, 1]
+    def _join_stamps(self, seconds: str, fraction: str, *, missing: bool) -> Any:
+        """Return stamps (N,) [ns]; whole numbers stay exact.
+
+        The second column may have another unit by the end of its name.
+        """
+        unit = find_fraction_unit(fraction)
+        values = self.numbers((seconds, fraction), missing=missing)
+        if not is_seconds_and_fraction(values, unit):
+            raise LogError(
+                f"{self.path}: columns '{seconds}' and '{fraction}' are no whole seconds and the "
+                f"{unit} since; name one of them as 'log.columns.t' of the robot file.",
+                code="log.seconds",
+                where=self.path,
+                key="log.columns.t",
+            )
+        nanoseconds = _NANOSECONDS[unit]
+        if np.array_equal(values, np.rint(values)) and np.max(np.abs(values)) < _MAX_SECONDS:
+            # Nanoseconds since 1970 exceed the digits of a float.
+            whole_seconds, remainder = values.astype(np.int64).T
+            return whole_seconds * 1_000_000_000 + remainder * nanoseconds
+        return values[:, 0] * 1e9 + values[:, 1] * nanoseconds
 
     def _find_column(self, name: str) -> Array | TextCell:
         if name not in self.names:
@@ -181,6 +200,27 @@ def join_names(names: Sequence[str]) -> str:
     return ", ".join(
         (*short_names[:_MAX_NAMES], *([f"and {more_count} more"] if more_count > 0 else []))
     )
+
+
+def remove_brackets(name: str) -> str:
+    """Return a name without what is in brackets, as a unit."""
+    return _BRACKETED.sub("", name)
+
+
+def find_fraction_unit(name: str) -> str:
+    """Return the unit of a column of what follows whole seconds: ns unless its name says so."""
+    plain = remove_brackets(name).strip().lower()
+    for unit, endings in FRACTION_ENDINGS.items():
+        if plain.endswith(endings):
+            return unit
+    return "ns"
+
+
+def is_seconds_and_fraction(values: Array, unit: str) -> bool:
+    """Return whether columns (N, 2) are whole seconds and what follows in a `unit`, below 1 s."""
+    seconds, fraction = values[np.all(np.isfinite(values), axis=1)].T
+    is_whole = np.array_equal(seconds, np.rint(seconds))
+    return is_whole and bool(np.all((fraction >= 0.0) & (fraction * _UNITS[unit] < 1.0)))
 
 
 @contextmanager

@@ -92,7 +92,10 @@ class LongLog:
         self._rows = max_rows
         self._sha256 = ""
         if isinstance(source, Path):
-            in_pieces = not description.log.sort and next(
+            log_format = description.log
+            # What came before decides the order of rows, and how often a counter has wrapped.
+            needs_all = log_format.sort or log_format.wrap or log_format.restart != "refuse"
+            in_pieces = not needs_all and next(
                 read_sample_pieces(source, description, max_rows), None
             )
             self._sha256 = sha256(source)

@@ -23,6 +23,8 @@ MIN_GAP_STEPS = 10.0  # gap in usual steps; friction states are unknown after it
 USUAL_SHARE = 0.95  # share of the shortest steps, whose mean is usual
 SHORTEST_PART = 1.0  # minimum duration of a part [s]
 _RATE_MARGIN = 1.25
+_COUNTER_SIZES = (2.0**8, 1e3, 2.0**16, 1e6, 2.0**24, 1e9, 2.0**31, 2.0**32)  # of time stamps
+_CLOCK_SIZES = (60.0, 3600.0, 43_200.0, 86_400.0)  # [s] after which a clock shows the same time
 _MIN_TWIST = 1e-12
 _MAX_TWIST = 0.1  # of a gear [rad], and over the joint's motion
 _UNITS = {"q": "rad", "dq": "rad/s", "tau": "N.m", "temperature": "degC"}
@@ -188,7 +190,7 @@ class Log:
         """
         path, robot = to_path(path, "a log"), to_description(robot)
         robot.require_one_per_joint()
-        file_samples = find_format(path).read(path, robot)
+        file_samples = find_format(path).read(path, robot).continue_time(robot.log)
         samples = file_samples.sort_samples(robot.log)
         dropped = len(file_samples.t) - len(samples.t)
         log = replace(convert_samples(path, samples, robot), sha256=sha256(path), dropped=dropped)
@@ -435,18 +437,45 @@ def require_increase(log: Log, samples: LogSamples, rows_before: int = 0) -> Non
     steps = np.diff(log.t)
     if np.any(steps <= 0):
         k = int(np.argmax(steps <= 0)) + 1
-        step_back = log.t[k - 1] - log.t[k]
-        remedy = (
-            "; [log] duplicates = 'first' leaves out rows that repeat a time stamp"
-            if step_back == 0.0
-            else "; the file contains two logs, split it"
-            if step_back > 0.5 * (log.t[k - 1] - log.t[0])
-            else "; [log] sort = true sorts rows by time"
-        )
         raise LogError(
             f"{log.where}: {samples.time}, {samples.place(k - rows_before)}: time must increase, "
-            f"but {log.t[k]:.10g} s follows {log.t[k - 1]:.10g} s{remedy}."
+            f"but {log.t[k]:.10g} s follows {log.t[k - 1]:.10g} s; {_find_time_remedy(log, k)}.",
+            code="log.order",
+            where=log.where,
+            key="log.columns.t",
         )
+
+
+def _find_time_remedy(log: Log, k: int) -> str:
+    """Return the line of a robot file that lets time increase at row `k`, in words."""
+    step_back = float(log.t[k - 1] - log.t[k])
+    if step_back == 0.0:
+        return "[log] duplicates = 'first' leaves out rows that repeat a time stamp"
+    wrap = _find_wrap(log)
+    if wrap is not None:
+        return f"[log] wrap = {wrap:.10g} lets a counter of that size go on"
+    if step_back > 0.5 * float(log.t[k - 1] - log.t[0]):
+        return "[log] restart = 'gap' takes the rows from there on as another part"
+    return "[log] sort = true sorts rows by time"
+
+
+def _find_wrap(log: Log) -> float | None:
+    """Return the size of a counter, in the unit of its stamps, that explains where time falls."""
+    if log.robot is None:
+        return None
+    unit = abs(float(log.robot.log.units.factors("t", 1)[0]))
+    stamps = log.t / unit
+    steps = np.diff(stamps)
+    falls = -steps[steps < 0.0]
+    usual_step = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else np.inf
+    for size in (*_COUNTER_SIZES, *(seconds / unit for seconds in _CLOCK_SIZES)):
+        missing_steps = size - falls
+        goes_on = np.all((missing_steps > 0.0) & (missing_steps < MIN_GAP_STEPS * usual_step))
+        # A shorter counter would find a step like the others after any fall.
+        is_long = size > 2.0 * MIN_GAP_STEPS * usual_step
+        if goes_on and is_long and np.ptp(stamps) < size:
+            return float(size)
+    return None
 
 
 def require_rate(
