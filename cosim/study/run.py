@@ -191,7 +191,7 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
     findings = log_findings(check_logs(list(logs.values()), robot, accepted))
 
     body, refined_models = job.rigid_body(logs, robot)
-    findings += log_findings(check_body(body, robot))
+    findings += log_findings(check_body(body, robot, list(logs.values())))
     source = _provenance(job, files)
     replace(body, provenance=source).write(folder / "rigid_body.json")
 

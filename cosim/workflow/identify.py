@@ -156,7 +156,7 @@ def identify(
             forward_logs, checked.robot, option, reversed_logs=backward_logs
         )
 
-    findings = list(check_body(identified_body, checked.robot))
+    findings = list(check_body(identified_body, checked.robot, checked.logs))
     files = [*checked.files, *paths_among(payload, friction, rigid_body)]
     identified_body = replace(
         identified_body, provenance=_provenance(checked, findings, files, carried_payload)

@@ -32,7 +32,8 @@ from hesr_model.logs.signals import Motion, moving, reversals
 from hesr_model.rigid_body.identification import RigidBody, identify_motions
 from hesr_model.rigid_body.residual import FrictionRecord, transform_all_records
 from hesr_model.robots.robot import Robot, RobotDescription
-from hesr_model.support.arrays import Array
+from hesr_model.robots.transmission import transform_motion
+from hesr_model.support.arrays import Array, select_rows
 from hesr_model.units import unit_of_joint
 
 CHECKS = (
@@ -71,22 +72,30 @@ def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | N
             hypotheses += add_log_name(log, check(log, description))
         parts += smooth_parts(log, description.log.filter_cutoff)
     parts = find_rests(parts)
+    # The acceleration of a guessed end may be wrong by all of it.
+    measured_parts = [select_rows(part, part.is_measured) for part in parts]
     is_stated = description.known is None
     if robot and (not is_stated or robot.springs):
-        robot = _inform_robot(robot, parts)
+        robot = _inform_robot(robot, measured_parts)
     torques = (
         [ModelTorques.from_motion(robot, part.q, part.v, part.a) for part in parts] if robot else []
     )
+    measured_torques = [
+        select_rows(part_torques, part.is_measured)
+        for part, part_torques in zip(parts, torques, strict=False)
+    ]
     logged_sides = [
-        to_logged_side(*pair, description.logged) for pair in zip(parts, torques, strict=False)
+        to_logged_side(*pair, description.logged)
+        for pair in zip(measured_parts, measured_torques, strict=False)
     ]
     fits_by_part = [fit_joint_torques(part, part_torques) for part, part_torques in logged_sides]
     broken_joints = _collect_joints(hypotheses, ("wrap", "spikes"))
     coarse_joints = _collect_joints(hypotheses, ("coarse",))
     for k, part in enumerate(parts):
-        part_torques = torques[k] if torques else None
+        part_torques = measured_torques[k] if torques else None
         for check_omission in (omissions.check_signs, omissions.check_integral):
-            hypotheses += add_log_name(part.log, check_omission(part, part_torques, description))
+            omission_hypotheses = check_omission(measured_parts[k], part_torques, description)
+            hypotheses += add_log_name(part.log, omission_hypotheses)
         hypotheses += add_log_name(
             part.log, check_velocity(part, description, broken_joints, coarse_joints)
         )
@@ -100,9 +109,9 @@ def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | N
     findings = list(judgement.findings)
     undecided = list(judgement.undecided)
     if robot and not _lacks_evidence(findings) and not is_hopeless(findings):
-        for part, (logged_part, part_torques), joint_fits in zip(
-            parts, logged_sides, fits_by_part, strict=True
-        ):
+        for k, (logged_part, part_torques) in enumerate(logged_sides):
+            part = parts[k]
+            joint_fits = fits_by_part[k]
             clock_hypotheses, late_joints = check_clocks(
                 part, [j for j in joint_fits if joint_fits[j].r2 > NO_SIGNAL_R2], robot
             )
@@ -123,13 +132,16 @@ def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | N
                             part_torques,
                             is_stated=is_stated,
                         ),
-                        *positions.check_loss(logged_part, part_torques, robot),
+                        # Lost rows blur the ends as well.
+                        *positions.check_loss(
+                            *to_logged_side(part, torques[k], description.logged), robot
+                        ),
                     ),
                 )
             )
             findings += part_judgement.findings
             undecided += part_judgement.undecided
-        cause_judgement = judge(check_causes(parts, robot))
+        cause_judgement = judge(check_causes(measured_parts, robot))
         findings = _replace_symptoms(findings, cause_judgement.findings)
         undecided += cause_judgement.undecided
     return Examination(
@@ -407,15 +419,40 @@ def find_unseen_effects(
 _STATE_COUNT = 60
 _MIN_USELESS_ERROR = 0.95  # error over deviation of a law that explains nothing
 _BOUND_TOLERANCE = 0.01
-_MIN_NEGATIVE_COULOMB = 0.5  # negative Coulomb friction over the residual
+_MIN_NEGATIVE_FRICTION = 0.5  # negative friction over the residual
 
 
-def check_body(body: RigidBody, robot: Robot) -> list[Finding]:
-    """Check that a mass matrix is positive definite and friction brakes."""
-    return state(_doubt_body(body, robot))
+def check_body(
+    body: RigidBody, robot: Robot, motions: Sequence[Log | Motion] = ()
+) -> list[Finding]:
+    """Check that a mass matrix is positive definite and friction brakes.
+
+    Parameters
+    ----------
+    body : identified from logs.
+    robot : its robot.
+    motions : logs or motions, whose speeds tell where friction must brake; at rest without them.
+    """
+    return state(_doubt_body(body, robot, _find_usual_speeds(motions, robot)))
 
 
-def _doubt_body(body: RigidBody, robot: Robot) -> Iterator[Hypothesis]:
+def _find_usual_speeds(motions: Sequence[Log | Motion], robot: Robot) -> Array:
+    """Return the median speed (n,) of rows in motion, at friction coordinates; 0 without any."""
+    usual_speeds = np.zeros(robot.n)
+    if not motions:
+        return usual_speeds
+    velocities = [
+        efforts.compute_speeds(motion) if isinstance(motion, Log) else motion.dq
+        for motion in motions
+    ]
+    speeds = np.abs(transform_motion(robot.description.coupling, np.concatenate(velocities)))
+    for j, joint_speeds in enumerate(speeds.T):
+        moving_speeds = joint_speeds[joint_speeds > _SLOW_SPEED_SHARE * np.max(joint_speeds)]
+        usual_speeds[j] = float(np.median(moving_speeds)) if len(moving_speeds) else 0.0
+    return usual_speeds
+
+
+def _doubt_body(body: RigidBody, robot: Robot, usual_speeds: Array) -> Iterator[Hypothesis]:
     joints = robot.description.joints
     lowest_eigenvalue, q, j = _find_least_inertia(body, robot)
     if lowest_eigenvalue <= 0.0:
@@ -432,19 +469,25 @@ def _doubt_body(body: RigidBody, robot: Robot) -> Iterator[Hypothesis]:
             remedy=remedy,
             severity="warning",
         )
-    for j, (coulomb, _, _) in enumerate(body.friction):
+    for j, (coulomb, viscous, _) in enumerate(body.friction):
         unit = unit_of_joint("N.m", is_prismatic=robot.slides[j])
+        speed_unit = unit_of_joint("rad/s", is_prismatic=robot.slides[j])
+        # A line over the speeds seen may fall below 0 at rest, as of friction that grows with v^2.
+        sliding_friction = coulomb + viscous * usual_speeds[j]
         yield Hypothesis(
             check="negative-friction",
             joint=joints[j],
-            observation=f"its Coulomb friction is identified as {coulomb:.3g} {unit}",
+            observation=f"its friction at {usual_speeds[j]:.3g} {speed_unit} is identified as "
+            f"{sliding_friction:.3g} {unit}",
             remedy="torque or velocity count backwards, or lag each other",
             severity="warning",
             trials=(
                 Statistic(
-                    name="its negative Coulomb friction over what the body leaves unexplained",
-                    estimate=Estimate(value=-coulomb / max(float(body.rmse[j]), 1e-300), error=0.0),
-                    high=_MIN_NEGATIVE_COULOMB,
+                    name="its negative friction over what the body leaves unexplained",
+                    estimate=Estimate(
+                        value=-sliding_friction / max(float(body.rmse[j]), 1e-300), error=0.0
+                    ),
+                    high=_MIN_NEGATIVE_FRICTION,
                 ),
             ),
         )

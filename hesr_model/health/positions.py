@@ -5,7 +5,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from hesr_model.findings import Severity
-from hesr_model.health.evidence import ModelTorques, SmoothPart, compute_speed_noise
+from hesr_model.health.evidence import (
+    ModelTorques,
+    SmoothPart,
+    compute_speed_noise,
+    smooth_parts,
+)
 from hesr_model.health.referee import Estimate, Hypothesis, Statistic
 from hesr_model.logs.column_names import is_of_motor
 from hesr_model.logs.log_format import column_names
@@ -24,6 +29,8 @@ _MIN_STEPS = 20  # of different size or place that tell a resolution
 _SINGLE_STEP_QUANTILE = 0.05  # of distances between positions in steps, which is a single step
 _MIN_COARSE_NOISE = 0.1  # noise over the step of a rounded position, which is 0.29 in theory
 _MAX_SPEED_NOISE = 0.01  # noise of a velocity that rounding leaves, over the peak of the velocity
+_RIPPLE_QUANTILE = 0.8  # of the size of third differences
+_RIPPLE_ERRORS = 1.2816  # its size in standard deviations, of normal noise
 _MAX_SLIDING_TRAVEL = 100.0  # [m] of a joint in other units
 _MAX_SATURATED_SHARE = 0.01  # share of rows at a limit of the drive
 _FINE_LEVELS = 200  # distinct values of a finely quantised torque
@@ -188,6 +195,27 @@ def _doubt_resolution(log: Log, j: int, joint: str, step: float, cutoff: float) 
     # Slow motion leaves rows without a change instead of noise.
     moving_steps = np.diff(log.q[: len(speeds) + 1, j])[np.abs(speeds) > MOVING_SHARE * peak]
     repeated_share = float(np.mean(moving_steps == 0.0)) if len(moving_steps) else 0.0
+    trials = [
+        Statistic(
+            name="the noise of its position over a step, or its share of repeated rows",
+            estimate=Estimate(value=max(measured_noise / step, repeated_share), error=0.0),
+            high=_MIN_COARSE_NOISE,
+        ),
+        Statistic(
+            name="the noise of its velocity over its peak",
+            estimate=Estimate(value=speed_noise / peak, error=0.0),
+            high=_MAX_SPEED_NOISE,
+        ),
+    ]
+    if all(trial.outcome == "won" for trial in trials):
+        # Steps of a ramp repeat so fast that a low pass may remove them; they are no white noise.
+        trials.append(
+            Statistic(
+                name="the ripple of its velocity over its peak",
+                estimate=Estimate(value=_measure_ripple(log, j, cutoff) / peak, error=0.0),
+                high=_MAX_SPEED_NOISE,
+            )
+        )
     return Hypothesis(
         check="coarse",
         joint=joint,
@@ -195,19 +223,29 @@ def _doubt_resolution(log: Log, j: int, joint: str, step: float, cutoff: float) 
         remedy="it was rounded, or the encoder is coarse; log more digits to get sharper "
         "velocities",
         severity="warning",
-        trials=(
-            Statistic(
-                name="the noise of its position over a step, or its share of repeated rows",
-                estimate=Estimate(value=max(measured_noise / step, repeated_share), error=0.0),
-                high=_MIN_COARSE_NOISE,
-            ),
-            Statistic(
-                name="the noise of its velocity over its peak",
-                estimate=Estimate(value=speed_noise / peak, error=0.0),
-                high=_MAX_SPEED_NOISE,
-            ),
-        ),
+        trials=tuple(trials),
     )
+
+
+def _measure_ripple(log: Log, j: int, cutoff: float) -> float:
+    """Return the ripple of a low-passed velocity [rad/s, m/s], as the deviation of white noise.
+
+    Third differences over half a period of the cut-off [Hz] hold little of a slow motion, and
+    their quantile little of its reversals.
+    """
+    ripples = []
+    for part in smooth_parts(log, cutoff):
+        distance = max(1, round(0.5 / (cutoff * part.period)))
+        v = part.v[part.is_measured, j]
+        first, second, third, last = (
+            v[k * distance : len(v) - (3 - k) * distance] for k in range(4)
+        )
+        ripples.append(np.abs(last - 3.0 * third + 3.0 * second - first))
+    ripple = np.concatenate(ripples) if ripples else np.zeros(0)
+    if not len(ripple):
+        return np.inf
+    usual_ripple = float(np.quantile(ripple, _RIPPLE_QUANTILE))
+    return usual_ripple / (_RIPPLE_ERRORS * float(np.sqrt(20.0)))
 
 
 def check_limits(part: SmoothPart, robot: Robot) -> Iterator[Hypothesis]:

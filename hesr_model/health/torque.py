@@ -121,6 +121,24 @@ class Explanations:
         )
         return Race(rival=rival, rival_squares=rival_squares, squares=squares)
 
+    def race_torque_signs(self) -> Race:
+        """Return the race of a reversed torque against the torque, under gravity as stated.
+
+        Friction brakes, and the inertia is free. In free swing gravity and inertia cancel, so that
+        a torque that brakes the swing looks reversed if gravity may be left out.
+        """
+        rival_squares, squares = (
+            self.predict(
+                sign * self.tau - self.gravity, self.inertial, self.friction, non_negative=3
+            )
+            for sign in (1.0, -1.0)
+        )
+        return Race(
+            rival="the torque as it is, with the model's gravity",
+            rival_squares=rival_squares,
+            squares=squares,
+        )
+
     def estimate_spread(self, kind: int) -> float:
         """Return half the range of a scale over free shapes of friction.
 
@@ -184,7 +202,7 @@ def check_torque(
         if doubt is not None:
             yield doubt
             continue
-        yield from _doubt_sign(fit, j, robot, explanations)
+        yield from _doubt_sign(fit, j, robot, explanations, is_stated=is_stated)
         if is_stated:
             if j not in blurred_joints:
                 yield from _doubt_scale(fit, j, fits, robot, explanations)
@@ -266,7 +284,7 @@ def _doubt_gravity(
 
 
 def _doubt_sign(
-    fit: TorqueFit, j: int, robot: Robot, explanations: Explanations | None
+    fit: TorqueFit, j: int, robot: Robot, explanations: Explanations | None, *, is_stated: bool
 ) -> Iterator[Hypothesis]:
     """Doubt the sign of a torque that drives the motion where friction should brake it."""
     if fit.friction.value >= 0.0:
@@ -283,6 +301,8 @@ def _doubt_sign(
         trials.append(
             explanations.race_signs("friction that brakes", coulomb, *others, non_negative=1)
         )
+        if is_stated:
+            trials.append(explanations.race_torque_signs())
     follows_gravity = fit.bears_gravity and fit.gravity.t > _SIGNIFICANCE
     subject = "position and velocity count" if follows_gravity else "torque counts"
     changes = find_sign_change(description, j, position=follows_gravity)
@@ -397,16 +417,18 @@ def _race_scale(
     inertial = explanations.inertial
     friction = explanations.friction
     if by_gravity:
-        stated_gravity = float(np.sign(fit.gravity.value) or 1.0) * gravity
-        # Rotors may add to the inertia.
+        # A torque that counts backwards has another finding.
+        signed_tau = float(np.sign(fit.gravity.value) or 1.0) * tau
+        # Rotors may add to the inertia. Friction that drives would explain a braked free swing.
         as_it_is = explanations.predict(
-            tau - stated_gravity - inertial, inertial, friction, non_negative=1
+            signed_tau - gravity - inertial, inertial, friction, non_negative=3
         )
         without = explanations.predict(tau, inertial, friction)
+        scaled = explanations.predict(signed_tau, gravity, inertial, friction, non_negative=4)
     else:
         as_it_is = explanations.predict(tau - inertial, inertial, gravity, friction, non_negative=1)
         without = explanations.predict(tau, gravity, friction)
-    scaled = explanations.predict(tau, gravity, inertial, friction)
+        scaled = explanations.predict(tau, gravity, inertial, friction)
     races = [Race(rival="the model as it is", rival_squares=as_it_is, squares=scaled)]
     if by_gravity and abs(fit.gravity.value) > _MAX_SCALE:
         # What follows no model is friction, a spring or a cable, whatever its factor.
@@ -436,13 +458,12 @@ def _explain_scale(
     gear_ratios = description.gear_ratio
     if gear_ratios and 1 / _MAX_SCALE < scale * gear_ratios[j] < _MAX_SCALE:
         return "it is the motor torque before the gear", {"log.units.tau": gear_ratios}
-    if is_everywhere and scale < 1:
-        remedy = "the column contains currents [A] or motor torques; name it under [log.columns] "
-        return f"{remedy}current and give torque_per_ampere", {}
-    remedy = (
-        "the unit of torque or position is wrong, or the column holds a current; see [log.units]"
-    )
-    return remedy, {}
+    causes = [] if is_everywhere else ["the unit of torque or position is wrong"]
+    if scale < 1.0 and not gear_ratios:
+        # As a current, it is smaller by a constant of the joint, and a log shows no more of it.
+        causes.append("the column holds motor torques before a gear, to be stated as gear_ratio")
+    causes.append("it holds a current, to be named under [log.columns] with torque_per_ampere")
+    return ", or ".join(causes), {}
 
 
 def _doubt_friction(fits: TorqueFits, robot: Robot) -> Iterator[Hypothesis]:
@@ -517,7 +538,7 @@ def check_raw_signals(log: Log, description: RobotDescription) -> Iterator[Hypot
     """Doubt raw signals with held, stuck and outlying values."""
     if len(log.t) < 2 * _MIN_STUCK_ROWS:
         return
-    speeds = _compute_speeds(log)
+    speeds = compute_speeds(log)
     min_speeds = _MIN_MOVING_TO_RESTING * find_resting_speeds([log.t], [log.q], [speeds])
     is_moving = np.abs(speeds) > min_speeds
     is_fine = np.array([len(np.unique(column)) > _FINE_LEVELS for column in log.tau.T])
@@ -564,7 +585,7 @@ def _changes_speed(q: Array) -> Mask:
     )
 
 
-def _compute_speeds(log: Log) -> Array:
+def compute_speeds(log: Log) -> Array:
     """Return speeds (N, n) of raw positions."""
     half_window = max(1, round(0.5 * _SPEED_WINDOW / log.period))
     rows = np.arange(len(log.t))

@@ -1,6 +1,6 @@
 """Velocity checks against the derivative of the position: units, signs, columns, lag."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,9 +18,10 @@ from hesr_model.health.referee import (
 )
 from hesr_model.inference.covariance import correlation_length
 from hesr_model.logs.log_format import LogUnits, column_names
+from hesr_model.logs.robot_log import SHORTEST_PART, Log
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.arrays import Array, Integers
-from hesr_model.units import COMMON_UNITS, REVOLUTE_UNITS, reverse_unit
+from hesr_model.units import COMMON_UNITS, REVOLUTE_UNITS, find_si_factor, reverse_unit
 
 _MIN_CORRELATION = 0.9  # of a velocity with its position
 _MAX_SCALE_ERROR = 0.1  # of a velocity, above which it is an error
@@ -31,6 +32,9 @@ _MIN_LAG_TO_PERIOD = 2.0
 _MAX_LAG = 0.3  # largest lag searched [s]
 _MAX_ARM_TRAVEL = 4.0 * np.pi  # largest travel of an arm's joint [rad]
 _MAX_RATE_FACTOR = 5.0  # of a wrong sample rate; beyond, a gear is as likely
+_RATIO_ERRORS = 3.0  # standard errors within which a ratio is that of a unit or a gear
+_MIN_RATIO_TOLERANCE = 5e-4  # of a ratio whose error is unknown to be smaller: clocks drift by less
+_MAX_CHANCE = 0.1  # probability that a ratio is close to a whole number in some unit
 _BLOCKS = 20  # of time, left out in turn
 _DERIVE_REMEDY = "derive it from the position"
 _TELLING_MOTION = "motion that reverses, at several speeds"
@@ -150,8 +154,10 @@ def _find_lag(v: Array, dq: Array, period: float) -> Estimate:
         return Estimate(value=lag, error=np.inf)
     shift = int(shifts[best])
     shifted_dq = dq[max_shift + shift : len(dq) - max_shift + shift]
-    line = np.polyfit(shifted_dq, inner_v, 1)
-    residual = inner_v - np.polyval(line, shifted_dq)
+    deviations = shifted_dq - np.mean(shifted_dq)
+    squares = float(deviations @ deviations)
+    slope = float(deviations @ inner_v) / squares if squares > 0.0 else 0.0
+    residual = inner_v - np.mean(inner_v) - slope * deviations
     independent_rows = len(residual) / correlation_length(residual)
     unexplained = np.maximum(1.0 - correlations[best - 1 : best + 2] ** 2, 1e-12)
     before, at, after = 0.5 * independent_rows * np.log(unexplained)
@@ -414,6 +420,7 @@ def _doubt_scale(
 def _find_cause(
     description: RobotDescription, j: int, matches: dict[int, VelocityMatch], part: SmoothPart
 ) -> tuple[str, dict[str, object]]:
+    """Return what explains the ratio of a position's change to its velocity, and its mend."""
     ratio = abs(matches[j].slope)
     are_alike = len(matches) > 1 and all(
         abs(np.log(abs(other.slope) / ratio)) < _FACTOR_TOLERANCE for other in matches.values()
@@ -431,42 +438,99 @@ def _find_cause(
             joint_units = list(units.expand_per_joint(quantity, joint_count))
             joint_units[j] = unit
             return remedy, {f"log.units.{quantity}": tuple(joint_units)}
-    gear_ratio = description.gear_ratio[j] if description.gear_ratio else 1.0
-    for quantity, remaining_factor in (
-        (("dq", ratio * gear_ratio), ("q", ratio / gear_ratio)) if gear_ratio != 1.0 else ()
-    ):
-        if abs(np.log(remaining_factor)) < _FACTOR_TOLERANCE:
-            joint_units = [*units.expand_per_joint(quantity, joint_count)]
-            joint_units[j] = float(f"{units.factors(quantity, joint_count)[j] / gear_ratio:.6g}")
-            return f"{quantity} belongs to the motor", {f"log.units.{quantity}": tuple(joint_units)}
+    motor_cause = _find_motor_unit(description, j, ratio)
+    if motor_cause is not None:
+        return motor_cause
     if are_alike:
-        ratio = float(np.median([abs(other.slope) for other in matches.values()]))
-        stated_factor = float(units.factors("t", 1)[0])
-        for unit, factor in COMMON_UNITS["t"].items():
-            if abs(np.log(ratio * stated_factor / factor)) < _FACTOR_TOLERANCE and (
-                is_plausible_period(part.log.period * factor / stated_factor)
-            ):
-                return f"time is in {unit}", {"log.units.t": unit}
-        if max(ratio, 1.0 / ratio) < _MAX_RATE_FACTOR:
+        clock_cause = _find_clock(units, matches, part.log)
+        if clock_cause is not None:
+            return clock_cause
+    return _find_gear(description, j, matches[j])
+
+
+def _find_motor_unit(
+    description: RobotDescription, j: int, ratio: float
+) -> tuple[str, dict[str, object]] | None:
+    """Return the unit in which a velocity or position before the stated gear explains a ratio."""
+    gear_ratio = description.gear_ratio[j] if description.gear_ratio else 1.0
+    if gear_ratio == 1.0:
+        return None
+    units = description.log.units
+    joint_count = len(description.joints)
+    for quantity, needed_factor in (("dq", ratio), ("q", 1.0 / ratio)):
+        # At the joint, a unit of the motor is smaller by the gear ratio.
+        for unit in _find_units(units, quantity, j, joint_count, needed_factor * gear_ratio):
+            joint_units = list(units.expand_per_joint(quantity, joint_count))
+            joint_units[j] = float(f"{find_si_factor(quantity, unit) / gear_ratio:.6g}")
             return (
-                f"all joints agree: time stamps run {1 / ratio:.2g} times as fast as time (wrong "
-                "sample rate), or the unit of dq is wrong",
-                {"log.units.t": stated_factor * ratio},
+                f"{quantity} belongs to the motor, in {unit}",
+                {f"log.units.{quantity}": tuple(joint_units)},
             )
-    return _describe_gear(ratio), {}
+    return None
 
 
-def _describe_gear(ratio: float) -> str:
-    """Return what may be wrong with a velocity, which a gear before the joint could explain."""
-    for unit, factor in REVOLUTE_UNITS["dq"].items():
-        gear_ratio = 1.0 / (ratio * abs(factor))
+def _find_clock(
+    units: LogUnits, matches: Mapping[int, VelocityMatch], log: Log
+) -> tuple[str, dict[str, object]] | None:
+    """Return the unit of time, or the rate of stamps, that explains the ratio of all joints."""
+    ratio = float(np.median([abs(match.slope) for match in matches.values()]))
+    stated_factor = float(units.factors("t", 1)[0])
+    tolerance = max(_compute_tolerance(match) for match in matches.values())
+    for unit, factor in COMMON_UNITS["t"].items():
+        is_plausible = is_plausible_period(log.period * factor / stated_factor)
+        # A motor's speed before a gear has such ratios too, but its log then lasts for no time.
+        is_long = float(np.ptp(log.t)) * factor / stated_factor >= SHORTEST_PART
+        explains = abs(np.log(ratio * stated_factor / factor)) < tolerance
+        if explains and is_plausible and is_long:
+            return f"time is in {unit}", {"log.units.t": unit}
+    if max(ratio, 1.0 / ratio) < _MAX_RATE_FACTOR:
+        return (
+            f"all joints agree: time stamps run {1 / ratio:.2g} times as fast as time (wrong "
+            "sample rate), or the unit of dq is wrong",
+            {"log.units.t": stated_factor * ratio},
+        )
+    return None
+
+
+def _compute_tolerance(match: VelocityMatch) -> float:
+    """Return the relative distance that the uncertainty of a ratio explains."""
+    uncertainty = _RATIO_ERRORS * match.error / abs(match.slope)
+    return float(np.clip(uncertainty, _MIN_RATIO_TOLERANCE, _FACTOR_TOLERANCE))
+
+
+def _find_gear(
+    description: RobotDescription, j: int, match: VelocityMatch
+) -> tuple[str, dict[str, object]]:
+    """Return a gear of whole turns before the joint that explains a velocity, if chance does not.
+
+    Of large ratios, any is close to a whole number in some unit.
+    """
+    units = description.log.units
+    joint_count = len(description.joints)
+    tolerance = _compute_tolerance(match)
+    declared_factor = float(units.factors("dq", joint_count)[j])
+    declared_unit = units.expand_per_joint("dq", joint_count)[j]
+    motor_units = dict(REVOLUTE_UNITS["dq"])
+    if declared_unit != LogUnits().dq:  # which is no default, but stated
+        motor_units = {str(declared_unit): declared_factor}
+    for unit, factor in motor_units.items():
+        gear_ratio = abs(factor / (match.slope * declared_factor))
         whole_ratio = round(gear_ratio)
-        if whole_ratio > 1 and abs(np.log(gear_ratio / whole_ratio)) < _FACTOR_TOLERANCE / 4.0:
+        by_chance = 2.0 * tolerance * whole_ratio * len(motor_units)
+        if whole_ratio < 2 or by_chance > _MAX_CHANCE:
+            continue
+        if abs(np.log(gear_ratio / whole_ratio)) < tolerance:
+            joint_units = list(units.expand_per_joint("dq", joint_count))
+            joint_units[j] = float(f"{factor / whole_ratio:.6g}")
             return (
-                f"units, a gear ratio or the signal itself are wrong; {whole_ratio} turns of the "
-                f"motor per turn of the joint, in {unit}, would explain it"
+                f"dq belongs to a motor, in {unit}, that turns {whole_ratio} times per turn of the "
+                "joint",
+                {"log.units.dq": tuple(joint_units)},
             )
-    return "units, a gear ratio or the signal itself are wrong; see [log.units]"
+    remedy = "units, a gear ratio or the signal itself are wrong; see [log.units]"
+    if description.gear_ratio is None:
+        remedy += ", or state gear_ratio if it belongs to a motor"
+    return remedy, {}
 
 
 def _find_units(

@@ -140,7 +140,7 @@ class _Robot:
             workers=1,
             report_left_out=failures.__setitem__,
         )
-        findings = [*check_body(body, self._robot), *check_laws(models, records)]
+        findings = [*check_body(body, self._robot, sample), *check_laws(models, records)]
         for law_name, model in models.items():
             model.write(folder / f"{law_name}.json")
             if all(map(is_exposed, model.laws)):

@@ -194,6 +194,21 @@ def test_an_impossible_body_is_reported(
 
 
 @pytest.mark.parametrize(
+    ("speed", "checks"), [(0.0, ["negative-friction"]), (0.3, ["negative-friction"]), (0.8, [])]
+)
+def test_friction_must_brake_at_the_speeds_seen(
+    speed: float, checks: list[str], arm_model: Robot
+) -> None:
+    """Over a few speeds, friction that grows faster than they do has a line below 0 at rest."""
+    friction = np.array([[1.0, 2.0, 0.0], [-1.2, 2.0, 0.0], [1.0, 2.0, 0.0]])
+    body = SimpleNamespace(
+        parameters=arm_model.nominal_parameters, friction=friction, rmse=[1.0, 1.0, 1.0]
+    )
+    motions = [SimpleNamespace(dq=np.full((9, 3), speed))] if speed else []
+    assert [f.check for f in check_body(body, arm_model, motions)] == checks
+
+
+@pytest.mark.parametrize(
     ("rmse", "ratio", "checks"),
     [
         (0.9, 1.5, []),

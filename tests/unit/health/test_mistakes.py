@@ -128,7 +128,7 @@ MISTAKES: dict[str, tuple[Mistake, str, tuple[str, ...], str]] = {
     ),
     "currents as torques": (
         lambda log: replace(log, tau=log.tau / 12.0), "torque-scale", ("j1", "j2", "j3"),
-        r"the column contains currents \[A\]",
+        r"stated as gear_ratio, or it holds a current",
     ),
     "mN.m": (
         lambda log: replace(log, tau=1e3 * log.tau), "torque-scale", ("j2", "j3"),

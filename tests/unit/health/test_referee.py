@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from planted_mistakes import MISTAKES
-from sound_benches import BENCHES
+from sound_benches import BENCHES, Bench
 
 from hesr_model.health.examine import examine
+from hesr_model.health.joints import apply_changes
 from hesr_model.health.referee import (
     Estimate,
     Hypothesis,
@@ -21,8 +22,9 @@ from hesr_model.health.referee import (
 from hesr_model.inference.folds import FOLD_COUNT, split_into_folds
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
-from hesr_model.robots.robot import Robot
+from hesr_model.robots.robot import Robot, RobotDescription
 
+Array = np.ndarray
 ONES = np.ones(400)
 
 
@@ -137,23 +139,67 @@ def test_findings_do_not_depend_on_units(what: str | None, tmp_path: Path) -> No
     assert bool(checks[0]) == (what is not None)
 
 
-def test_free_swing_does_not_turn_gravity(tmp_path: Path) -> None:
-    """Gravity and inertia cancel, and what is left is friction."""
-    bench = replace(BENCHES["pendulum"], viscous=0.02, coulomb=0.03)
+def let_swing(bench: Bench, start: float, damping: float) -> tuple[Array, Array]:
+    """Return time, position and velocity (N, 3), and the torque (N,) of a motor that damps."""
+    step = 0.0005
+    rows = np.empty((40_000, 4))
+    q = start - 0.5 * np.pi
+    dq = 0.0
+    for k in range(len(rows)):
+        tau = -damping * dq
+        rows[k] = k * step, q, dq, tau
+        friction = bench.coulomb * np.tanh(dq / 0.01) + bench.viscous * dq
+        dq += step * (tau - friction - bench.gravity * np.cos(q)) / bench.inertia
+        q += step * dq
+    return rows[::10, :3], rows[::10, 3]
+
+
+@pytest.mark.parametrize("start", [0.5, 1.5])
+@pytest.mark.parametrize("damping", [0.0, 0.03])
+def test_free_swing_shows_no_mistake(start: float, damping: float, tmp_path: Path) -> None:
+    """Gravity and inertia cancel, and what is left is friction and the damping of the motor.
+
+    At the ends of the log smoothing guesses, and the acceleration is largest.
+    """
+    bench = replace(BENCHES["pendulum"], viscous=0.02, coulomb=0.01)
     robot = Robot(bench.write_description(tmp_path))
-    step = 0.005
-    q, dq = [1.0], [0.0]
-    lever = bench.gravity / bench.inertia
-    for _ in range(4000):
-        dq.append(dq[-1] - step * (lever * np.cos(q[-1]) + 0.2 * dq[-1]))
-        q.append(q[-1] + step * dq[-1])
-    noise = np.random.default_rng(0).normal(0.0, 0.005, len(q))
-    log = Log(
-        name="swing",
-        t=step * np.arange(len(q)),
-        q=np.array(q)[:, None],
-        dq=np.array(dq)[:, None],
-        tau=noise[:, None],
-    )
+    motion, tau = let_swing(bench, start, damping)
+    rng = np.random.default_rng(0)
+    tau = tau + rng.normal(0.0, 1e-3, len(tau))
+    log = Log(name="swing", t=motion[:, 0], q=motion[:, 1], dq=motion[:, 2], tau=tau)
     checks = {finding.check for finding in examine([log], robot.description, robot).findings}
-    assert not checks & {"gravity-sign", "gravity", "zero", "torque-sign", "position-sign"}
+    assert checks <= {"torque-signal"}
+    assert bool(checks) == (damping == 0.0)  # then the torque is noise
+
+
+@pytest.mark.parametrize("shape", ["one way", "strokes"])
+@pytest.mark.parametrize("count", [0.0, 0.002, 0.004])
+def test_steps_of_a_ramp_that_a_low_pass_removes_are_not_coarse(
+    shape: str, count: float, tmp_path: Path
+) -> None:
+    t = 0.001 * np.arange(8000)
+    direction = np.where((t // 2.0) % 2 < 1, 1.0, -1.0) if shape == "strokes" else np.ones(8000)
+    dq = 0.4 * direction
+    q = 0.001 * np.concatenate([[0.0], np.cumsum(dq)[:-1]])
+    q = count * np.round(q / count) if count else q
+    tau = 0.3 * direction + np.random.default_rng(0).normal(0.0, 0.02, len(t))
+    robot = Robot(BENCHES["strokes"].write_description(tmp_path))
+    log = Log(name="ramp", t=t, q=q, dq=dq, tau=tau)
+    assert examine([log], robot.description, robot).findings == ()
+
+
+def test_motor_torques_are_not_called_currents(arm_log: Log, arm: RobotDescription) -> None:
+    """Only the gear decides, which the remedy asks for; with it the unit is known."""
+    gear_ratio = (80.0, 100.0, 120.0)
+    log = replace(arm_log, tau=arm_log.tau / np.array(gear_ratio))
+    findings = examine([log], arm, Robot(arm)).findings
+    scales = [finding for finding in findings if finding.check == "torque-scale"]
+    assert scales
+    assert all("gear_ratio" in finding.remedy and not finding.changes for finding in scales)
+    geared = apply_changes(arm, {"gear_ratio": gear_ratio})
+    findings = examine([log], geared, Robot(geared)).findings
+    scales = [finding for finding in findings if finding.check == "torque-scale"]
+    assert scales
+    assert all(finding.changes for finding in scales)
+    for finding in scales:
+        np.testing.assert_allclose(finding.changes["log.units.tau"], gear_ratio)
