@@ -189,7 +189,7 @@ def test_an_error_names_the_file_the_column_and_the_row(
 
 def test_two_logs_in_one_file_are_reported(read: Callable[..., Log]) -> None:
     text = [HEADER, *(row(k) for k in [*range(50), *range(50)])]
-    with pytest.raises(LogError, match=r"\[log\] restart = 'gap' takes the rows"):
+    with pytest.raises(LogError, match=r"\[log\] restart = 'gap'"):
         read(text)
 
 
