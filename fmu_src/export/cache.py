@@ -27,8 +27,9 @@ def software() -> str:
     key = hashlib.sha256("\n".join([sys.version, *packages]).encode())
     for home in _HASHED_FOLDERS:
         for folder, folders_inside, names in os.walk(home):
-            folders_inside.sort()
-            for file in (Path(folder, name) for name in sorted(names) if name[-4:] != ".pyc"):
+            # Python writes there under names that another process sees for a moment only.
+            folders_inside[:] = sorted(set(folders_inside) - {"__pycache__"})
+            for file in (Path(folder, name) for name in sorted(names)):
                 key.update(f"{file.relative_to(home).as_posix()}\n".encode())
                 key.update(hashlib.sha256(file.read_bytes()).digest())
     return key.hexdigest()

@@ -12,6 +12,7 @@ import pytest
 from c_hosts import LINUX
 
 from fmu_src import export_fmu
+from fmu_src.export import cache
 from fmu_src.export.cache import export_with_cache
 from hesr.cli import main
 from hesr_model.equations.rows import library
@@ -75,6 +76,18 @@ def test_concurrent_exports_equal_sequential_ones(model, tmp_path, empty_cache):
         )
     assert len(set(expected)) == 4
     assert [output.read_bytes() for output in outputs] == expected * 5
+
+
+def test_files_that_python_compiles_do_not_disturb_an_export(tmp_path, monkeypatch):
+    """Another process writes a file of byte code under a name that soon vanishes."""
+    (tmp_path / "module.py").write_text("x = 1")
+    monkeypatch.setattr(cache, "_HASHED_FOLDERS", (tmp_path,))
+    expected = cache.software.__wrapped__()
+    (tmp_path / "__pycache__").mkdir()
+    (tmp_path / "__pycache__" / "module.cpython-311.pyc.139641").symlink_to(tmp_path / "gone")
+    assert cache.software.__wrapped__() == expected
+    (tmp_path / "module.py").write_text("x = 2")
+    assert cache.software.__wrapped__() != expected
 
 
 def test_only_a_repeated_export_is_a_copy(model, tmp_path, empty_cache, monkeypatch):
