@@ -17,7 +17,8 @@ from hesr_model.logs.readers.arrays import load_arrays
 from hesr_model.logs.tables import import_arrow, number_columns, write_table
 from hesr_model.support import plugins
 from hesr_model.support.arrays import Array
-from hesr_model.support.files import folder_written_whole, models_folder, written_whole
+from hesr_model.support.files import models_folder, written_whole
+from hesr_model.support.result_folder import folder_written_whole
 from hesr_model.support.typed_files import Numbers, NumbersWithGaps
 
 _LOOP_FILES = ("closed_loop.toml", "plant_loop.toml")

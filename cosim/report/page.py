@@ -19,8 +19,8 @@ from cosim.report.sections.summary import summary
 from cosim.report.tables.table import ResultTable, make_row
 from cosim.study.results import record_files
 from hesr_model.support import parallel, plugins
-from hesr_model.support.files import folder_written_whole
 from hesr_model.support.progress import Stages, report_progress, silent
+from hesr_model.support.result_folder import folder_updated_whole
 
 REPORT = "report.html"
 FIGURES = "figures"
@@ -86,7 +86,7 @@ def write_report(folder: Path, output: Path | None = None, *, progress: Stages =
     """
     results = Results.read(folder)
     path = output or folder / REPORT
-    with folder_written_whole(folder) as temporary:
+    with folder_updated_whole(folder) as temporary:
         inside = temporary / REPORT if output is None else path
         compose_report(results, temporary, inside, path.parent, progress=progress)
         record_files(temporary, folder)

@@ -25,7 +25,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.inference.choice import PLAIN
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.support.arrays import Array
-from hesr_model.support.files import settle
+from hesr_model.support.result_folder import describe_leftover
 from hesr_model.support.typed_files import from_json, read_json
 from hesr_model.units import unit_of_joints
 
@@ -183,9 +183,9 @@ class Results:
     @classmethod
     def read(cls, folder: Path) -> "Results":
         """Read a folder written by `hesr run`, or raise ArtifactError or LogError."""
-        settle(folder)
         if not (folder / RUN).is_file():
             reason = f"'{RUN}' is missing in it" if folder.is_dir() else "the folder does not exist"
+            reason = describe_leftover(folder) or reason
             raise ArtifactError(f"{folder}: no results of 'hesr run'; {reason}.")
         run = SavedRun.read(folder / RUN)
         body = RigidBody.read(folder / "rigid_body.json")

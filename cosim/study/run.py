@@ -37,8 +37,9 @@ from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot
 from hesr_model.support import parallel
 from hesr_model.support.cache import USED, count_hits
-from hesr_model.support.files import folder_written_whole, newest, provenance
+from hesr_model.support.files import newest, provenance
 from hesr_model.support.progress import Stages, silent
+from hesr_model.support.result_folder import folder_written_whole
 from hesr_model.support.typed_files import to_json, write_json
 
 _WORK = ("cosim.study.scores", "hesr_model.fitting.fit")  # preloaded by the workers

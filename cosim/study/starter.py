@@ -25,7 +25,8 @@ from hesr_model.robots.model_file import (
     read_joints,
 )
 from hesr_model.robots.robot import Robot, RobotDescription
-from hesr_model.support.files import folder_written_whole, is_empty, models_folder
+from hesr_model.support.files import is_empty, models_folder
+from hesr_model.support.result_folder import folder_written_whole
 from hesr_model.support.text import join_few, to_toml
 
 _FILES = ("robot.toml", "study.toml", "README.txt")
@@ -62,7 +63,7 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
     springs = load(model).springs
     name = project_name(folder)
     last_suffix = f"..{{}}{len(used_joints)}" if len(used_joints) > 1 else ""
-    with folder_written_whole(folder) as temporary:
+    with folder_written_whole(folder, is_listed=False) as temporary:
         if model.suffix.lower() == ".xml":
             copy_model(model, temporary)
         else:
@@ -115,7 +116,7 @@ def start_twin(folder: Path) -> NewProject:
     """Create the folder of a digital twin, whose motions `hesr simulate` logs."""
     require_new(folder)
     arm = models_folder() / "uf850"
-    with folder_written_whole(folder) as temporary:
+    with folder_written_whole(folder, is_listed=False) as temporary:
         shipped = [arm / name for name in ("uf850.xml", "robot.toml", "plant.toml", "arm.toml")]
         for file in (*shipped, *(models_folder() / "new" / "twin").iterdir()):
             (temporary / file.name).write_bytes(file.read_bytes())
@@ -215,7 +216,7 @@ def start_bench(
     `source` is that of the torque constants in `log`.
     """
     require_new(folder)
-    with folder_written_whole(folder) as temporary:
+    with folder_written_whole(folder, is_listed=False) as temporary:
         model_path, file = (temporary.resolve() / name for name in ("bench.urdf", "robot.toml"))
         model_path.write_text(bench.urdf(), encoding="utf-8")
         description = RobotDescription.from_data(

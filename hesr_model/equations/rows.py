@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hesr_model.equations.operations import NAMES, Program
 from hesr_model.errors import ExportError, SimulationError
 from hesr_model.support.arrays import Array
-from hesr_model.support.compiler import compile_c
+from hesr_model.support.compiler import MISSING_COMPILER, compile_c
 from hesr_model.support.files import scratch_folder
 
 BLOCK = 128
@@ -89,10 +89,18 @@ def library() -> ctypes.CDLL:
     try:
         with scratch_folder() as folder:
             rows_library = ctypes.CDLL(str(compile_rows(Path(folder), host)))
-    except (ExportError, ImportError, OSError) as error:
+    except OSError as error:
+        raise ExportError(
+            f"the compiled laws cannot be loaded ({str(error).rstrip('.')}); set TMPDIR to a "
+            "folder whose files may be executed."
+        ) from error
+    except (ExportError, ImportError) as error:
+        if isinstance(error, ExportError) and error.code != MISSING_COMPILER:
+            raise
         raise ExportError(
             f"the C compiler of the package 'ziglang' is missing: {str(error).rstrip('.')}; "
-            "reinstall it."
+            "reinstall it.",
+            code=MISSING_COMPILER,
         ) from error
     address = ctypes.c_void_p
     number = ctypes.c_int64

@@ -12,8 +12,9 @@ from pathlib import Path
 from hesr_model.errors import ExportError
 from hesr_model.support.cache import compute_once
 from hesr_model.support.cache import folder as cache_folder
-from hesr_model.support.files import scratch_folder
+from hesr_model.support.files import find_temporary_folder, require_room, room_for, scratch_folder
 
+MISSING_COMPILER = "compiler.missing"  # code of an error
 PREBUILT = Path(__file__).with_name("binaries")  # kernels of a wheel, named by `digest`
 
 
@@ -22,18 +23,22 @@ def compile_c(
 ) -> None:
     """Compile one source file, or reuse the result for the same texts and flags.
 
-    In `last_flags`, `{compiler}` is replaced by the folder of the compiler. Raises ExportError.
+    In `last_flags`, `{compiler}` is replaced by the folder of the compiler. Raises ExportError, or
+    ArtifactError for a folder without room.
     """
     name = digest(source, flags, output, last_flags)
     prebuilt = PREBUILT / name
-    if prebuilt.is_file():
-        output.write_bytes(prebuilt.read_bytes())
-    else:
-        key = f"ziglang {version('ziglang')}", name
-        output.write_bytes(
-            compute_once("binaries", key, lambda: _run_compiler(source, flags, output, last_flags))
-        )
-    output.chmod(0o755)
+    with room_for(output):
+        if prebuilt.is_file():
+            output.write_bytes(prebuilt.read_bytes())
+        else:
+            key = f"ziglang {version('ziglang')}", name
+            output.write_bytes(
+                compute_once(
+                    "binaries", key, lambda: _run_compiler(source, flags, output, last_flags)
+                )
+            )
+        output.chmod(0o755)
 
 
 def digest(source: Path, flags: Sequence[str], output: Path, last_flags: Sequence[str] = ()) -> str:
@@ -72,7 +77,7 @@ def _run_compiler(
     # A linker interprets percent signs in its output path, so the path is relative.
     with scratch_folder() as cache, scratch_folder(source.parent) as folder:
         compiled_file = folder / output.name
-        relative_path = f"{compiled_file.parent.name}/{output.name}"
+        relative_path = compiled_file.relative_to(source.parent).as_posix()
         compiler = str(files("ziglang"))
         command = [str(files("ziglang") / "zig"), "cc", *flags, "-o", relative_path, source.name]
         # The compiler's object cache breaks under concurrency, so each compilation has its own;
@@ -90,8 +95,12 @@ def _run_compiler(
                 check=False,
             )
         except OSError as error:
-            raise ExportError(f"the C compiler cannot be run ({error.strerror}).") from error
+            raise ExportError(
+                f"the C compiler cannot be run ({error.strerror}).", code=MISSING_COMPILER
+            ) from error
         if not result.returncode:
             return compiled_file.read_bytes()
+        # The compiler's own message names none of the folders.
+        require_room(folder, find_temporary_folder(), cache_folder())
     lines = [line for line in result.stderr.splitlines() if "error" in line] or ["no message"]
     raise ExportError(f"{output.name}: the C compiler failed: {lines[0].strip()}.")

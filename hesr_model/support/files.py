@@ -2,14 +2,13 @@
 
 import errno
 import hashlib
+import hmac
 import logging
 import os
 import platform
 import re
-import shutil
 import tempfile
-import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from datetime import UTC, datetime
 from functools import cache
@@ -19,15 +18,21 @@ from secrets import token_hex
 from typing import Any
 
 from hesr_model.errors import ArtifactError, ConfigError
+from hesr_model.support import file_locks
+from hesr_model.support.open_folder import OpenFolder, remove_all, sync_file, sync_folder
 from hesr_model.support.progress import deferred
 
-_TEMPORARY = ".hesr-"
-_LOCK = f"{_TEMPORARY}lock"
-_COMPLETE = f"{_TEMPORARY}whole"  # folder of a complete result, which is moved into place
-_MACHINE = f"{zlib.crc32(platform.node().encode()) & 0xFFFF:04x}"
-_OF_A_PROCESS = re.compile(rf"(\..+\.|hesr-){_MACHINE}-(\d+)-\w{{8}}(\.\w+|-\w{{16}})?")
-"""Temporary names, with machine and process, and those of parts during removal."""
-_NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
+SCRATCH = "hesr-"
+HIDDEN = f".{SCRATCH}"  # prefix of HESR's own files and folders next to those of users
+FILES = "files"  # folder in a scratch folder, next to its lock
+_LOCK = "lock"
+_SIGNATURE_LENGTH = 32  # hexadecimal digits
+_SCRATCH_NAME = re.compile(
+    rf"\.?{SCRATCH}(?P<token>[0-9a-f]{{16}})-(?P<signature>[0-9a-f]{{{_SIGNATURE_LENGTH}}})"
+)
+_PROBE_SIZE = 1 << 20  # [B] that a folder with room takes
+_MAX_ATTEMPTS = 100  # to make a folder that another process removes while it is empty
+NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
 """Errors of the writer; others may come from files that the block reads."""
 PathArg = str | os.PathLike[str]
 _log = logging.getLogger(__name__)
@@ -81,52 +86,43 @@ def sha256(path: Path) -> str:
 
 
 @contextmanager
-def folder_written_whole(path: Path) -> Iterator[Path]:
-    """Yield a temporary folder whose files move into `path` when the block succeeds.
-
-    On any exception nothing at `path` changes; a killed process leaves all files or none to
-    `settle`. Raises ArtifactError before the block if another run is writing into the folder or it
-    cannot be written.
-    """
-    with _room_for(path), ExitStack() as cleanup:
-        try:
-            cleanup.enter_context(folder_made(path))
-        except OSError as error:
-            raise _unwritable(path, error) from error
-        _take_folder(path, cleanup)
-        temporary = cleanup.enter_context(scratch_folder(path, _TEMPORARY))
-        yield temporary
-        with deferred():
-            for file in temporary.rglob("*"):
-                target = path / file.relative_to(temporary)
-                if target.exists() and target.is_dir() != file.is_dir():
-                    code = errno.EISDIR if target.is_dir() else errno.ENOTDIR
-                    raise _unwritable(target, OSError(code, os.strerror(code)))
-            temporary.rename(path / _COMPLETE)  # from here on all files, even if killed
-            _move_into_place(path)
-
-
-def settle(path: Path) -> None:
-    """Complete or remove what a killed run has left in a folder, unless a run is writing there."""
-    with ExitStack() as cleanup, suppress(ArtifactError, OSError):
-        if any(path.glob(f"{_TEMPORARY}*")):
-            _take_folder(path, cleanup)
-
-
-@contextmanager
-def _room_for(path: Path) -> Iterator[None]:
+def room_for(path: Path) -> Iterator[None]:
+    """Report a full or broken disk below `path` as ArtifactError."""
     try:
         yield
     except (OSError, ArtifactError) as error:
         cause = error if isinstance(error, OSError) else error.__cause__
-        if isinstance(cause, OSError) and cause.errno in _NO_ROOM:
-            raise _unwritable(path, cause) from cause
+        if isinstance(cause, OSError) and cause.errno in NO_ROOM:
+            raise unwritable(path, cause) from cause
         raise
+
+
+def require_room(*folders: Path) -> None:
+    """Raise ArtifactError for the first folder that takes no more data."""
+    for folder in folders:
+        try:
+            with tempfile.TemporaryFile(dir=folder) as file:
+                file.write(bytes(_PROBE_SIZE))
+                file.flush()
+        except OSError as error:
+            raise unwritable(folder, error) from error
+
+
+def find_temporary_folder() -> Path:
+    """Return the folder for temporary files; raises ArtifactError."""
+    try:
+        return Path(tempfile.gettempdir())
+    except FileNotFoundError as error:
+        raise ArtifactError(
+            "no folder for temporary files can be written; free disk space, or set TMPDIR.",
+            code="file.no_temporary",
+            key="TMPDIR",
+        ) from error
 
 
 def is_empty(folder: Path) -> bool:
     """Return whether a folder has at most leftovers of a killed run."""
-    return all(entry.name.startswith(_TEMPORARY) for entry in folder.iterdir())
+    return all(entry.name.startswith(HIDDEN) for entry in folder.iterdir())
 
 
 @contextmanager
@@ -142,153 +138,239 @@ def folder_made(path: Path) -> Iterator[None]:
         yield
 
 
-def _take_folder(path: Path, cleanup: ExitStack) -> None:
-    from filelock import FileLock, Timeout  # slow to import
-
-    lock = FileLock(path / _LOCK, timeout=0)
-    try:
-        lock.acquire()
-    except Timeout as error:
-        raise ArtifactError(
-            f"{path}: another run is writing here; wait for it, or give another folder."
-        ) from error
-    except OSError as error:
-        raise _unwritable(path, error) from error
-    cleanup.callback(lock.release)
-    cleanup.callback((path / _LOCK).unlink, missing_ok=True)
-    _move_into_place(path)
-    for leftover in path.glob(f"{_TEMPORARY}*/"):
-        _log.info("removing %s, left behind by a killed run", leftover)
-        shutil.rmtree(leftover, ignore_errors=True)
-    for folder in (path, *path.glob("*/")):
-        _sweep_folder(folder)
-
-
-@cache
-def _sweep_folder(folder: Path) -> None:
-    """Remove temporary files and folders of killed processes, once per process."""
-    import psutil  # slow to import
-
-    with suppress(OSError), os.scandir(folder) as entries:
-        for entry in entries:
-            match = _OF_A_PROCESS.fullmatch(entry.name)
-            if not match or psutil.pid_exists(int(match[2])):
-                continue
-            with suppress(OSError):
-                owner = entry.stat(follow_symlinks=False).st_uid
-                if hasattr(os, "getuid") and owner != os.getuid():
-                    continue
-                if entry.is_dir(follow_symlinks=False):
-                    _remove_whatever(Path(entry.path))
-                else:
-                    Path(entry.path).unlink()
-
-
 def _remove_empty(folder: Path) -> None:
     with suppress(OSError):  # not empty, or never made
         folder.rmdir()
 
 
-def _move_into_place(path: Path) -> None:
-    """Move all files of a complete result into place; may be repeated."""
-    complete_folder = path / _COMPLETE
-    for file in sorted(p for p in complete_folder.rglob("*") if p.is_file()):
-        target = path / file.relative_to(complete_folder)
-        try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            file.replace(target)
-        except OSError as error:
-            raise _unwritable(target, error) from error
-    if complete_folder.is_dir():
-        _remove_whatever(complete_folder)
-
-
 @contextmanager
-def scratch_folder(parent: Path | None = None, prefix: str = "hesr-") -> Iterator[Path]:
-    """Yield a temporary folder; interrupts leave none."""
+def scratch_folder(parent: Path | None = None, prefix: str = SCRATCH) -> Iterator[Path]:
+    """Yield a temporary folder; interrupts leave none, and the next process removes those of kills.
+
+    It is within another one, which has a signed name and a locked file: only this user's HESR made
+    that name, and its process runs as long as the lock is held. Both hold across containers.
+    """
+    place = find_temporary_folder() if parent is None else parent
     with ExitStack() as cleanup:
-        with deferred():
+        try:
+            with deferred():
+                folder = _make_scratch(place, prefix, cleanup)
+        except OSError as error:
             if parent is None:
-                _sweep_folder(Path(tempfile.gettempdir()))
-            name_prefix = f"{prefix}{_MACHINE}-{os.getpid()}-"
-            folder = Path(tempfile.mkdtemp(prefix=name_prefix, dir=parent))
-            cleanup.callback(_remove_folder, folder)
+                raise unwritable(place, error) from error
+            raise
         yield folder
 
 
-def _remove_folder(folder: Path) -> None:
-    with deferred(), suppress(OSError):
-        _remove_whatever(folder)
+def is_temporary(path: Path) -> bool:
+    """Return whether a path is within a scratch folder."""
+    return any(_SCRATCH_NAME.fullmatch(part) for part in path.parts)
 
 
-def _remove_whatever(folder: Path) -> None:
-    """Remove a folder of any depth: `shutil.rmtree` recurses once per level."""
-    pending_folders = [folder]
-    while pending_folders:
-        path = pending_folders.pop()
-        path.chmod(0o700)
-        with os.scandir(path) as entries:
-            folder_entries = list(entries)
-        for entry in folder_entries:
-            if entry.is_dir(follow_symlinks=False):
-                sibling = folder.with_name(f"{folder.name}-{token_hex(8)}")
-                pending_folders.append(Path(entry.path).rename(sibling))
-            else:
-                Path(entry.path).unlink()
-        path.rmdir()
+def remove_scratch(folder: Path) -> None:
+    """Remove a folder of `scratch_folder` whose process has ended."""
+    _remove(folder.parent if _SCRATCH_NAME.fullmatch(folder.parent.name) else folder)
+
+
+def _make_scratch(place: Path, prefix: str, cleanup: ExitStack) -> Path:
+    if is_temporary(place):  # it is removed with the folder around it
+        folder = Path(tempfile.mkdtemp(prefix=prefix, dir=place))
+        cleanup.callback(_remove, folder)
+        return folder
+    sweep_folder(place)
+    handle = None
+    while handle is None:
+        token = token_hex(8)
+        scratch = place / f"{prefix}{token}-{_sign_token(token)}"
+        scratch.mkdir(mode=0o700)
+        handle = _lock_scratch(scratch)
+    if os.name == "posix":  # it is locked until it is removed; Windows removes no open file
+        cleanup.callback(os.close, handle)
+        cleanup.callback(_remove, scratch)
+    else:
+        cleanup.callback(_remove, scratch)
+        cleanup.callback(os.close, handle)
+    folder = scratch / FILES
+    folder.mkdir()
+    return folder
+
+
+def _lock_scratch(scratch: Path) -> int | None:
+    """Make and lock the file of a scratch folder; return it, or None if a sweep came first."""
+    try:
+        handle = os.open(scratch / _LOCK, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
+    except FileNotFoundError:
+        return None
+    except OSError:
+        with suppress(OSError):
+            scratch.rmdir()
+        raise
+    if file_locks.hold(handle) and file_locks.is_linked(handle):
+        return handle
+    os.close(handle)
+    return None
+
+
+def _sign_token(token: str) -> str:
+    from hesr_model.support.cache import key_with_secret
+
+    return key_with_secret("scratch folder", token.encode()).hex()[:_SIGNATURE_LENGTH]
+
+
+@cache
+def sweep_folder(place: Path) -> None:
+    """Remove scratch folders of killed processes of this user, once per process."""
+    with suppress(OSError), OpenFolder.open(place) as folder:
+        for name in folder.names():
+            match = _SCRATCH_NAME.fullmatch(name)
+            if match and hmac.compare_digest(match["signature"], _sign_token(match["token"])):
+                with suppress(OSError):
+                    _remove_unowned(folder, name)
+
+
+def _remove_unowned(folder: OpenFolder, name: str) -> None:
+    """Remove a scratch folder if no process holds its lock."""
+    with folder.open_folder(name) as scratch:
+        if hasattr(os, "getuid") and scratch.status().st_uid != os.getuid():
+            return
+        if not scratch.has(_LOCK):  # it is being made, or was almost removed
+            folder.remove_folder(name)
+            return
+        handle = scratch.open_file(_LOCK, os.O_RDWR)
+    try:
+        if not file_locks.try_lock(handle):
+            return
+        _log.info("removing %s, left behind by a killed process", folder.path / name)
+        if os.name == "posix":
+            remove_all(folder, name, last=_LOCK)
+    finally:
+        os.close(handle)
+    if os.name != "posix":  # open files cannot be removed
+        remove_all(folder, name, last=_LOCK)
+
+
+def _remove(path: Path) -> None:
+    with deferred(), suppress(OSError), OpenFolder.open(path.parent) as folder:
+        remove_all(folder, path.name, last=_LOCK)
 
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """Yield a temporary path in the same folder that becomes `path` when the block succeeds.
+    """Yield a temporary path of the same name that becomes `path` when the block succeeds.
 
-    On any exception, also an interrupt, an existing file stays unchanged. Raises ArtifactError.
+    On any exception, also an interrupt, an existing file stays unchanged; after a power failure
+    there is the old file or the new one. Raises ArtifactError.
     """
-    with _room_for(path), ExitStack() as cleanup:
-        try:
-            cleanup.enter_context(folder_made(path.parent))
-            if path.is_dir():
-                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-            if path.exists() and not path.is_file():  # a file would replace it
-                raise ArtifactError(f"{path}: is a pipe or a device; give the name of a file.")
-            _sweep_folder(path.parent)
-            _sweep_folder(Path(tempfile.gettempdir()))
-            with deferred():
-                name_prefix = f".{path.name}.{_MACHINE}-{os.getpid()}-"
-                handle, name = tempfile.mkstemp(
-                    dir=path.parent, prefix=name_prefix, suffix=path.suffix
-                )
-                temporary = Path(name)
-                cleanup.callback(temporary.unlink, missing_ok=True)
-            os.close(handle)
-        except OSError as error:
-            raise _unwritable(path, error) from error
+    with room_for(path), ExitStack() as cleanup:
+        temporary = _prepare_file(path, cleanup)
         yield temporary
-        # mkstemp makes files private, unlike results.
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)
-        temporary.replace(path)
+        try:
+            _finish_file(temporary, path)
+            temporary.replace(path)
+            if not is_temporary(path.parent):
+                sync_folder(path.parent)
+        except OSError as error:
+            raise unwritable(path, error) from error
+
+
+def _prepare_file(path: Path, cleanup: ExitStack) -> Path:
+    """Return a temporary path in a scratch folder next to `path`; raises ArtifactError."""
+    try:
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        if path.exists() and not path.is_file():  # a file would replace it
+            raise ArtifactError(
+                f"{path}: is a pipe or a device; give the name of a file.",
+                code="file.special",
+                where=path,
+            )
+        folder = make_scratch_in(path.parent, cleanup)
+        sweep_folder(find_temporary_folder())
+        temporary = folder / path.name
+        temporary.touch(exist_ok=False)  # refuses names that the file system does not have
+    except OSError as error:
+        raise unwritable(path, error) from error
+    return temporary
+
+
+def make_scratch_in(place: Path, cleanup: ExitStack) -> Path:
+    """Return a hidden scratch folder in a folder that is made if missing; raises OSError.
+
+    Another process may remove its own empty folders meanwhile, so missing ones are made again.
+    """
+    for attempt in range(_MAX_ATTEMPTS):
+        with ExitStack() as made:
+            try:
+                made.enter_context(folder_made(place))
+                folder = made.enter_context(scratch_folder(place, HIDDEN))
+            except FileNotFoundError:
+                if attempt + 1 == _MAX_ATTEMPTS:
+                    raise
+                continue
+            cleanup.enter_context(made.pop_all())
+            return folder
+    raise AssertionError("unreachable")
+
+
+def _finish_file(temporary: Path, path: Path) -> None:
+    """Write a complete file to the disk, unless a folder is written whole around it."""
+    if not is_temporary(path.parent):
+        sync_file(temporary)
 
 
 @contextmanager
 def written_together(main: Path) -> Iterator[Callable[[Path], Path]]:
-    """Yield `written_whole` for several paths; a killed process leaves no new files with `main`."""
-    with ExitStack() as cleanup:
-        temporaries = {main: cleanup.enter_context(written_whole(main))}
+    """Yield `written_whole` for several paths; on any error all files are the old ones.
 
-        def temporary(path: Path) -> Path:
+    A killed process leaves no new files with an old `main`, which is missing meanwhile.
+    """
+    with room_for(main), ExitStack() as cleanup:
+        temporaries = {main: _prepare_file(main, cleanup)}
+
+        def provide_temporary(path: Path) -> Path:
             if path not in temporaries:
-                temporaries[path] = cleanup.enter_context(written_whole(path))
+                with room_for(path):
+                    temporaries[path] = _prepare_file(path, cleanup)
             return temporaries[path]
 
-        yield temporary
+        yield provide_temporary
         with deferred():
-            main.unlink(missing_ok=True)
-            cleanup.close()
+            for path, temporary in temporaries.items():
+                try:
+                    _finish_file(temporary, path)
+                except OSError as error:
+                    raise unwritable(path, error) from error
+            _replace_together(main, temporaries)
 
 
-def _unwritable(path: Path, error: OSError) -> ArtifactError:
+def _replace_together(main: Path, temporaries: Mapping[Path, Path]) -> None:
+    """Replace several files, `main` last; an error puts the old ones back."""
+    with ExitStack() as undo:
+        path = main
+        try:
+            for path in temporaries:  # `main` is the first
+                old_file = temporaries[path].with_name(token_hex(8))
+                if os.path.lexists(path):
+                    path.replace(old_file)
+                    undo.callback(old_file.replace, path)
+                if path != main:
+                    temporaries[path].replace(path)
+                    undo.callback(path.unlink)
+            path = main
+            temporaries[main].replace(main)
+            undo.pop_all()
+            for folder in {path.parent for path in temporaries}:
+                if not is_temporary(folder):
+                    sync_folder(folder)
+        except OSError as error:
+            undo.close()
+            raise unwritable(path, error) from error
+
+
+def unwritable(path: Path, error: OSError) -> ArtifactError:
+    """Return the error that a file or folder cannot be written."""
     # Libraries add more to the error's own text.
     reason = os.strerror(error.errno) if error.errno else error.strerror
-    return ArtifactError(f"{path}: cannot be written there ({reason}).")
+    return ArtifactError(
+        f"{path}: cannot be written there ({reason}).", code="file.unwritable", where=path
+    )

@@ -7,7 +7,6 @@ size and the pickled tuple (error or None, result, cache use).
 import json
 import logging
 import os
-import shutil
 import signal
 import sys
 import tempfile
@@ -31,7 +30,7 @@ import cloudpickle
 from hesr_model.errors import WorkerError
 from hesr_model.support import cache
 from hesr_model.support.cache import USED
-from hesr_model.support.files import scratch_folder
+from hesr_model.support.files import remove_scratch, scratch_folder
 from hesr_model.support.lazy import collect_seldom
 from hesr_model.support.process import ChildProcess, kill_by_mark, new_mark, python_command
 from hesr_model.support.progress import current, deferred, running
@@ -126,7 +125,7 @@ def read_answer(answers: IO[bytes]) -> JobAnswer:
 def _exit_after_parent(parent: int, folder: Path) -> None:
     while os.getppid() == parent:
         time.sleep(_PARENT_CHECK_PERIOD)
-    shutil.rmtree(folder, ignore_errors=True)
+    remove_scratch(folder)
     os._exit(1)
 
 

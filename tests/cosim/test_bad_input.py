@@ -888,7 +888,7 @@ def test_an_interrupt_ends_a_run_quietly_and_at_once(moment: str, tmp_path: Path
         if moment == "fit runs":
             wait_for_line(process, second_law_is_fitted)
         else:  # the body is written just before the fits start
-            wait_for(lambda: list(results.glob(".hesr-*/rigid_body.json")), process)
+            wait_for(lambda: list(tmp_path.glob(".hesr-*/files/results/rigid_body.json")), process)
         os.killpg(process.pid, signal.SIGINT)
         out, err = process.communicate(timeout=HANG)
     assert process.returncode == 130

@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from containing import Containing
@@ -19,7 +20,7 @@ from small_study import contents, uf850, write_study
 from small_twin import GAINS
 
 from hesr.cli.console import interrupt_on_signals
-from hesr_model.support.files import folder_written_whole
+from hesr_model.support import result_folder
 from hesr_model.support.progress import deferred
 
 pytestmark = [
@@ -85,7 +86,7 @@ def test_interrupts_work_while_the_arm_runs(tmp_path: Path) -> None:
     study = write_study(tmp_path)
     before = contents(tmp_path)
     with started("run", study, "-o", "results", folder=tmp_path) as process:
-        wait_for(lambda: list(tmp_path.glob("results/.hesr-*/logs/*")), process)
+        wait_for(lambda: list(tmp_path.glob(".hesr-*/files/results/logs/*")), process)
         one_sentence(ended(process, signal.SIGINT, tmp_path), STOPPED)
     assert contents(tmp_path) == before
     assert not list(tmp_path.glob(".*"))
@@ -233,25 +234,25 @@ def test_a_process_starts_with_interrupts_blocked() -> None:
     assert begun() == "False False\n"
 
 
-def test_results_are_moved_all_or_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ctrl-C arrives at the first of many files being moved."""
-    moved = []
-    replace = Path.replace
+def test_results_are_replaced_all_or_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C arrives just before old and new files are exchanged."""
+    exchange = result_folder.exchange
 
-    def interrupted(file: Path, target: Path) -> Path:
-        if not moved:
-            signal.raise_signal(signal.SIGINT)
-        moved.append(target.name)
-        return replace(file, target)
+    def interrupted(*names: Any) -> bool:
+        signal.raise_signal(signal.SIGINT)
+        return exchange(*names)
 
-    monkeypatch.setattr(Path, "replace", interrupted)
+    monkeypatch.setattr(result_folder, "exchange", interrupted)
 
-    def work() -> None:
-        with folder_written_whole(tmp_path / "results") as folder:
+    def work(text: str) -> None:
+        with result_folder.folder_written_whole(tmp_path / "results") as folder:
             for name in "abc":
-                (folder / name).write_text(name, encoding="utf-8")
+                (folder / name).write_text(text, encoding="utf-8")
 
+    work("old")
     with pytest.raises(KeyboardInterrupt):
-        work()
-    assert moved == ["a", "b", "c"]
-    assert set(contents(tmp_path)) == {"results/a", "results/b", "results/c"}
+        work("new")
+    found = contents(tmp_path, without=[result_folder.LIST])
+    assert found == {f"results/{name}": b"new" for name in "abc"}

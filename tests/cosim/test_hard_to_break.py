@@ -21,7 +21,8 @@ from cosim.loop.excite import load_arm, record
 from fmu_src.arm.plant import Plant
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.motions.trajectories import Sine
-from hesr_model.support.files import folder_written_whole
+from hesr_model.support.files import sweep_folder
+from hesr_model.support.result_folder import LIST, folder_written_whole
 
 SECONDS = 0.01
 
@@ -53,7 +54,7 @@ def refused(hesr: Hesr) -> Refused:
 SLEEPER = """
 import sys, time
 from pathlib import Path
-from hesr_model.support.files import folder_written_whole
+from hesr_model.support.result_folder import folder_written_whole
 
 with folder_written_whole(Path(sys.argv[1])) as folder:
     (folder / "half").write_text("half")
@@ -61,33 +62,40 @@ with folder_written_whole(Path(sys.argv[1])) as folder:
 """
 
 
+def find_new_folders(results: Path) -> set[Path]:
+    """Return the folders of unfinished results."""
+    return set(results.parent.glob(f".hesr-*/files/{results.name}"))
+
+
 def test_the_next_run_removes_files_of_a_killed_run(tmp_path: Path) -> None:
     results = tmp_path / "results"
     program = ("-c", SLEEPER)
     with started(results, folder=tmp_path, program=program) as process:
-        wait_for(lambda: list(results.glob(".hesr-*/half")), process)
+        wait_for(lambda: list(tmp_path.glob(".hesr-*/files/results/half")), process)
         # That process is alive, so its files are left alone.
         with (
             pytest.raises(ArtifactError, match="another run is writing here"),
             folder_written_whole(results),
         ):
             raise AssertionError
-        assert list(results.glob(".hesr-*/half"))
+        (left,) = find_new_folders(results)
         process.send_signal(signal.SIGKILL)
         process.communicate()
-    assert list(results.glob(".hesr-*/half"))
+    assert left.is_dir()
+    sweep_folder.cache_clear()  # it is done once per process
     with folder_written_whole(results) as folder:
-        assert not list(results.glob(".hesr-*/half"))
+        assert find_new_folders(results) == {folder}
+        assert folder != left
         (folder / "whole").write_text("whole")
-    assert contents(results) == {"whole": b"whole"}
-    assert not [path for path in results.iterdir() if path.name != "whole"]
+    assert contents(results, without=[LIST]) == {"whole": b"whole"}
+    assert {path.name for path in tmp_path.iterdir()} == {"results", "tmp"}
 
 
 @pytest.mark.ci
 def test_a_second_run_into_the_same_folder_is_refused(tmp_path: Path) -> None:
     study, results = write_study(tmp_path), tmp_path / "results"
     with started("run", study, "-o", results, folder=tmp_path) as first:
-        wait_for(lambda: list(results.glob(".hesr-*/*")), first)
+        wait_for(lambda: find_new_folders(results), first)
         with started("run", study, "-o", results, folder=tmp_path) as second:
             out, err = second.communicate(timeout=120)
         assert second.returncode == 2
@@ -96,14 +104,14 @@ def test_a_second_run_into_the_same_folder_is_refused(tmp_path: Path) -> None:
             Containing(f"hesr: {results}: another run is writing"),
         )
         assert first.poll() is None
-        assert list(results.glob(".hesr-*/*"))
+        assert find_new_folders(results)
         first.send_signal(signal.SIGKILL)
         first.communicate()
     assert_nothing_runs(first.pid)
     # A run first removes the files of the killed one.
     with started("run", study, "-o", results, folder=tmp_path) as third:
-        left = set(results.glob(".hesr-*/"))
-        wait_for(lambda: not left & set(results.glob(".hesr-*/")), third)
+        left = find_new_folders(results)
+        wait_for(lambda: not left & find_new_folders(results), third)
 
 
 # --- outputs with a limited character set -------------------------------------------------------

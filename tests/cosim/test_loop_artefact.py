@@ -34,6 +34,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
+from hesr_model.support.result_folder import LIST
 
 UF850 = models_folder() / "uf850"
 
@@ -110,7 +111,7 @@ def loop(small_results: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_results_and_exports_contain_both_loops(loop: Path, small_results: Path) -> None:
-    assert {path.name for path in loop.iterdir()} == FILES | {"fmus"}
+    assert {path.name for path in loop.iterdir()} == FILES | {"fmus", LIST}
     assert {path.name for path in small_results.iterdir()} >= FILES
     fmus = {"Arm", "Plant", "Trajectory", "InverseDynamics", "Controller", "Velocity", "parfam_h"}
     assert {path.stem for path in (loop / "fmus").iterdir()} == fmus

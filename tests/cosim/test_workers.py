@@ -262,7 +262,7 @@ def test_a_killed_worker_is_one_sentence(tmp_path: Path) -> None:
     command = ("test", "uf850-table1", TABLE_1, "--kind", "properties", "-o", answer)
     with started(*command, folder=tmp_path) as process:
         # Some compile and some already run FMUs; both have files and possibly processes.
-        wait_for(lambda: list((tmp_path / "tmp").glob("hesr-*/hesr-*")), process)
+        wait_for(lambda: list((tmp_path / "tmp").glob("hesr-*/files/hesr-*")), process)
         os.kill(workers(process.pid)[0], signal.SIGKILL)
         out, err = process.communicate(timeout=60)
     assert process.returncode == 2
@@ -291,9 +291,9 @@ def test_a_crashed_worker_prints_nothing(crash: str, tmp_path: Path) -> None:
     ("number", "pattern"),
     [
         (signal.SIGINT, "hesr-*"),  # of the workers, which start
-        (signal.SIGINT, "hesr-*/jobs*"),  # and import
-        (signal.SIGINT, "hesr-*/hesr-*"),  # and work
-        (signal.SIGTERM, "hesr-*/hesr-*"),
+        (signal.SIGINT, "hesr-*/files/jobs*"),  # and import
+        (signal.SIGINT, "hesr-*/files/hesr-*"),  # and work
+        (signal.SIGTERM, "hesr-*/files/hesr-*"),
     ],
 )
 def test_signals_to_the_group_are_handled_once(

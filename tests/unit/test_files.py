@@ -11,9 +11,8 @@ from typing import Any
 import pytest
 
 from hesr_model.errors import ArtifactError
+from hesr_model.support import file_locks, files
 from hesr_model.support.files import (
-    folder_written_whole,
-    is_empty,
     models_folder,
     scratch_folder,
     sha256,
@@ -47,8 +46,8 @@ def test_a_file_appears_only_when_complete(tmp_path: Path) -> None:
     with written_whole(path) as temporary:
         temporary.write_text("done")
         assert not path.exists()
-        assert temporary.suffix == ".json"  # some writers go by the suffix
-        assert temporary.parent == path.parent  # the move must stay on one file system
+        assert temporary.name == "law.json"  # some writers go by the suffix
+        assert temporary.is_relative_to(path.parent)  # the move must stay on one file system
     assert everything_in(tmp_path / "new" / "folder") == {"law.json": "done"}
 
 
@@ -88,14 +87,13 @@ def test_an_unfinished_file_leaves_nothing(tmp_path: Path, error: type[BaseExcep
 def test_an_interrupted_file_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    make = tempfile.mkstemp
+    hold = file_locks.hold
 
-    def interrupted(**where: Any) -> tuple[int, str]:
-        made = make(**where)
+    def interrupted(handle: int) -> bool:
         signal.raise_signal(signal.SIGINT)
-        return made
+        return hold(handle)
 
-    monkeypatch.setattr(tempfile, "mkstemp", interrupted)
+    monkeypatch.setattr(file_locks, "hold", interrupted)
     with pytest.raises(KeyboardInterrupt), written_whole(tmp_path / "law.json"):
         raise AssertionError("not reached")
     assert everything_in(tmp_path) == {}
@@ -145,70 +143,27 @@ def test_a_folder_without_permission_is_refused(tmp_path: Path) -> None:
         tmp_path.chmod(0o700)
 
 
-# --- a folder ---------------------------------------------------------------------------------
+def test_a_folder_that_another_process_removes_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run that fails removes its empty folders, also those that another run has begun to use."""
+    make_scratch = files._make_scratch
+    removals = iter([tmp_path / "new" / "folder", tmp_path / "new"])
+
+    def remove_and_make(place: Path, *arguments: Any) -> Path:
+        for folder in removals:
+            folder.rmdir()
+            if not tmp_path.joinpath("new").exists():
+                break
+        return make_scratch(place, *arguments)
+
+    monkeypatch.setattr(files, "_make_scratch", remove_and_make)
+    with written_whole(tmp_path / "new" / "folder" / "law.json") as temporary:
+        temporary.write_text("done")
+    assert (tmp_path / "new" / "folder" / "law.json").read_text() == "done"
 
 
-def test_files_of_a_folder_appear_together(tmp_path: Path) -> None:
-    path = tmp_path / "results" / "study"
-    with folder_written_whole(path) as temporary:
-        (temporary / "a.json").write_text("a")
-        (temporary / "fmus").mkdir()
-        (temporary / "fmus" / "b.fmu").write_text("b")
-        assert is_empty(path)  # temporary files are hidden
-        assert temporary.name.startswith(".hesr-")
-    assert everything_in(path) == {"a.json": "a", "fmus/": "", "fmus/b.fmu": "b"}
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["results"]
-
-
-def test_files_of_the_same_name_are_replaced_and_others_kept(tmp_path: Path) -> None:
-    (tmp_path / "fmus").mkdir()
-    (tmp_path / "fmus" / "b.fmu").write_text("old b")
-    (tmp_path / "notes.txt").write_text("mine")
-    with folder_written_whole(tmp_path) as temporary:
-        (temporary / "fmus").mkdir()
-        (temporary / "fmus" / "b.fmu").write_text("new b")
-    assert everything_in(tmp_path) == {"fmus/": "", "fmus/b.fmu": "new b", "notes.txt": "mine"}
-
-
-@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
-def test_an_unfinished_folder_leaves_nothing(tmp_path: Path, error: type[BaseException]) -> None:
-    (tmp_path / "a.json").write_text("old")
-
-    def interrupted(path: Path) -> None:
-        with folder_written_whole(path) as temporary:
-            (temporary / "a.json").write_text("half")
-            raise error
-
-    with pytest.raises(error):
-        interrupted(tmp_path)
-    with pytest.raises(error):
-        interrupted(tmp_path / "new" / "deep")
-    assert everything_in(tmp_path) == {"a.json": "old"}
-
-
-def test_a_file_in_place_of_a_results_folder_is_named(tmp_path: Path) -> None:
-    (tmp_path / "fmus").write_text("mine")
-
-    def write() -> None:
-        with folder_written_whole(tmp_path) as temporary:
-            (temporary / "fmus").mkdir()
-            (temporary / "fmus" / "b.fmu").write_text("b")
-
-    with pytest.raises(ArtifactError) as caught:
-        write()
-    assert str(caught.value) == (f"{tmp_path / 'fmus'}: cannot be written there (Not a directory).")
-    assert everything_in(tmp_path) == {"fmus": "mine"}
-
-
-def test_an_unwritable_folder_is_refused_before_the_work(tmp_path: Path) -> None:
-    blocking = tmp_path / "file"
-    blocking.write_text("")
-    for path in (blocking, blocking / "results"):
-        worked = False
-        with pytest.raises(ArtifactError) as caught, folder_written_whole(path):
-            worked = True
-        assert str(caught.value) == f"{path}: cannot be written there (Not a directory)."
-        assert not worked
+# --- folders ----------------------------------------------------------------------------------
 
 
 def test_the_hash_of_a_folder_covers_names_and_bytes(tmp_path: Path) -> None:

@@ -33,6 +33,7 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
 from hesr_model.laws.lugre import LuGre, LuGreLoad
 from hesr_model.laws.ripple import Ripple
+from hesr_model.support.compiler import MISSING_COMPILER
 
 U, V, K = sympy.symbols("u v k", real=True)
 ROWS = 1000  # not a multiple of a block or a vector
@@ -323,7 +324,9 @@ def test_vector_width_does_not_change_a_bit(
 @pytest.fixture
 def no_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
     def fails(*_: object) -> None:
-        raise ExportError("the C compiler cannot be run (No such file or directory).")
+        raise ExportError(
+            "the C compiler cannot be run (No such file or directory).", code=MISSING_COMPILER
+        )
 
     monkeypatch.setattr(rows_module, "compile_c", fails)
     rows_module.library.cache_clear()

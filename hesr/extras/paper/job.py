@@ -7,8 +7,8 @@ from cosim.workflow.answer import PluginJob, Written
 from hesr.extras.paper.evidence import PaperStudy
 from hesr_model.errors import ArgumentError
 from hesr_model.support import parallel
-from hesr_model.support.files import folder_written_whole
 from hesr_model.support.progress import Stages, silent
+from hesr_model.support.result_folder import folder_written_whole
 from hesr_model.support.typed_files import to_json, write_json
 
 
