@@ -16,8 +16,14 @@ from typing import NoReturn, TextIO
 
 import click
 
-from hesr_model.errors import ConfigError, HesrError
-from hesr_model.support.files import scratch_folder, written_whole
+from hesr_model.errors import ArtifactError, ConfigError, HesrError
+from hesr_model.support.files import (
+    NO_ROOM,
+    find_temporary_folder,
+    require_room,
+    scratch_folder,
+    written_whole,
+)
 from hesr_model.support.progress import Interrupted, Stages, listed_in
 from hesr_model.support.text import sanitise
 
@@ -69,14 +75,24 @@ def report_errors() -> Iterator[None]:
         _discard_output()
         sys.exit(_CLOSED_OUTPUT_EXIT_CODE)
     except OSError as error:
-        file_prefix = f"{sanitise(error.filename)}: " if isinstance(error.filename, str) else ""
-        reason = " ".join((error.strerror or str(error)).split()).rstrip(".")
         _discard_output()
-        refuse(f"{file_prefix}the system reports an error ({reason}).")
+        refuse(_describe_system_error(error))
     except MemoryError:
         refuse("not enough memory; give less data at once.")
     except RecursionError:
         refuse("an input file is nested too deeply.")
+
+
+def _describe_system_error(error: OSError) -> str:
+    """Return the sentence of an error of the system; writing reports no name of a file."""
+    if error.filename is None and error.errno in NO_ROOM:
+        try:
+            require_room(find_temporary_folder())
+        except ArtifactError as room_error:
+            return str(room_error)
+    file_prefix = f"{sanitise(error.filename)}: " if isinstance(error.filename, str) else ""
+    reason = " ".join((error.strerror or str(error)).split()).rstrip(".")
+    return f"{file_prefix}the system reports an error ({reason})."
 
 
 def require_environment() -> None:
@@ -122,6 +138,18 @@ def provide_home() -> None:
         from hesr_model.support.cache import folder
 
         os.environ.setdefault("MPLCONFIGDIR", str(folder() / "matplotlib"))
+
+
+def open_closed_streams() -> None:
+    """Connect closed standard streams to nothing: files opened later would take their numbers."""
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        if getattr(sys, name) is not None:
+            continue
+        try:
+            os.fstat(number)  # another file has taken the number
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
+        setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode, encoding="utf-8"))
 
 
 def accept_any_text() -> None:

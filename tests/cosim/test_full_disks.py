@@ -166,18 +166,26 @@ def test_the_reported_file_is_the_requested_one(full: Path) -> None:
     assert {path.name for path in full.iterdir()} == {"filled"}
 
 
-def test_a_full_disk_for_temporary_files_is_one_sentence(full: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "arguments",
+    [("export", "uf850-table1", "-o"), ("test", "uf850-table1", "--kind", "properties")],
+)
+def test_a_full_disk_for_temporary_files_is_one_sentence(
+    arguments: tuple[str, ...], full: Path, tmp_path: Path
+) -> None:
+    """The compiler's folder is full, not the compiler missing."""
     output = tmp_path / "Friction.fmu"
     result = subprocess.run(
-        [sys.executable, *COMMAND, "export", "uf850-table1", "-o", str(output)],
+        [sys.executable, *COMMAND, *arguments, *([str(output)] if "-o" in arguments else [])],
         capture_output=True,
         text=True,
         check=False,
         env=os.environ | {"TMPDIR": str(full), "XDG_CACHE_HOME": str(tmp_path / "cache")},
     )
     assert result.returncode == 2, result
-    assert "Traceback" not in result.stderr
-    assert result.stderr.startswith("hesr: ")
+    assert result.stderr.startswith(f"hesr: {full}")
+    assert result.stderr.endswith("cannot be written there (No space left on device).\n")
+    assert len(result.stderr.splitlines()) == 1
     assert not output.exists()
     assert {path.name for path in full.iterdir()} == {"filled"}
 
