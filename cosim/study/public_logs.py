@@ -11,7 +11,8 @@ from typing import Any
 from cosim.study.starter import NewProject, require_new
 from hesr_model.errors import ConfigError
 from hesr_model.robots.robot import RobotDescription
-from hesr_model.support.files import folder_written_whole, models_folder
+from hesr_model.support.files import models_folder
+from hesr_model.support.result_folder import folder_written_whole
 from hesr_model.support.text import read_text
 
 _SOURCE = "source.toml"
@@ -68,7 +69,7 @@ def start_public(folder: Path, clone: Path) -> NewProject:
     """
     require_new(folder)
     source = _find_source(clone)
-    with folder_written_whole(folder) as temporary:
+    with folder_written_whole(folder, is_listed=False) as temporary:
         for name, entry in source.logs.items():
             path = clone / source.folder / entry["file"]
             text = _convert(path, source.columns, *entry["rows"])

@@ -224,7 +224,7 @@ def last_call(case: Case, kind: str) -> int:
     return len(case.calls) - 1 - case.calls[::-1].index(kind)
 
 
-@pytest.mark.nightly
+@pytest.mark.nightly("hostile")
 @pytest.mark.parametrize("case", COMMANDS, indirect=True)
 def test_every_fault_leaves_the_old_result_or_the_new_one(case: Case, server: Server) -> None:
     codes = set()
