@@ -44,6 +44,9 @@ DEFAULT_SELECTION = "not ci and not soak"
 """Tests that `pytest` runs without arguments."""
 
 
+SAFE_PATH = "PYTHONSAFEPATH"
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--nightly",
@@ -183,6 +186,15 @@ RATE = 200.0
 
 MakeMotion = Callable[..., Motion]
 Shared = Callable[[str, Callable[[Path], object]], Path]
+
+
+@pytest.fixture(autouse=True)
+def restored_safe_path() -> Generator[None]:
+    """Undo that the command line forbids imports from the current folder for this process."""
+    before = os.environ.get(SAFE_PATH)
+    yield
+    if before is None:
+        os.environ.pop(SAFE_PATH, None)
 
 
 @pytest.fixture
