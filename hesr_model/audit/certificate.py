@@ -276,6 +276,12 @@ class _Proof:
             self.min_viscous_scale = 1.0 / share
         if waves:
             self._prove_ripple(waves, curve, damping)
+        if abs(curve.offset) > curve.slack:
+            # A full turn is no closed path: there the offset does 2 pi of it as work.
+            self.storage_terms.append(f"{curve.offset:.3g} q")
+            self.conditions.append(
+                f"the offset of {curve.offset:.3g} N.m does no work over a closed path"
+            )
         self.min_viscous_scale = min(self.min_viscous_scale, 1.0)
 
     def collect_scaled_parts(self) -> list[sympy.Expr]:

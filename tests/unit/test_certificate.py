@@ -376,7 +376,14 @@ def test_speeds_at_which_a_proof_fails_refute_it(law: FrictionLaw, energy: float
 def test_an_offset_does_not_count_as_driving() -> None:
     assert certify(own(DQ + 3.0), TRAINED) == Certificate(
         verdict="proven",
-        storage="S = 0",
-        rests_on=("f(v) >= 1 N.m.s/rad at all speeds",),
+        storage="S = 3 q",
+        rests_on=(
+            "f(v) >= 1 N.m.s/rad at all speeds",
+            "the offset of 3 N.m does no work over a closed path",
+        ),
         largest_step=inf,
     )
+
+
+def test_without_an_offset_the_storage_names_none() -> None:
+    assert certify(own(DQ), TRAINED).storage == "S = 0"
