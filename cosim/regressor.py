@@ -40,16 +40,18 @@ _TARGETS = ("friction", "torque")
 class FrictionRegressor:
     """Friction law as an estimator, fitted to logs or to tables in memory.
 
-    Rows of a table are samples of one motion in order of time: laws have memory, so a prediction
-    depends on the rows before it.
+    Rows of a table are samples of one motion in order of time: laws have
+    memory, so a prediction depends on the rows before it.
 
     Parameters
     ----------
-    law : name of a law, see `hesr.laws`, or its class; or "choose", the proposed law of each
-        joint that predicts left-out rows of logs best.
+    law : name of a law, see `hesr.laws`, or its class; or "choose", the
+        proposed law of each joint that predicts left-out rows of logs best.
     robot : robot of the logs; by default that of the log.
-    rigid_body : rigid body of the robot, or its file; by default identified from the logs of `fit`.
-    target : predicted quantity and meaning of y: "friction", or "torque" including load torque.
+    rigid_body : rigid body of the robot, or its file; by default identified
+        from the logs of `fit`.
+    target : predicted quantity and meaning of y: "friction", or "torque"
+        including load torque.
     seed : seed of the fit.
     options : options of the law's estimator.
 
@@ -57,7 +59,8 @@ class FrictionRegressor:
     ----------
     model_ : fitted `FrictionModel`.
     n_features_in_ : number of columns of the fitted table; absent after logs.
-    robot_, rigid_body_ : robot and body of the fitted logs; absent after a table.
+    robot_, rigid_body_ : robot and body of the fitted logs; absent after a
+        table.
     """
 
     def __init__(
@@ -109,9 +112,10 @@ class FrictionRegressor:
 
         Parameters
         ----------
-        X : one or several logs (`Log` or path), or a table with columns t, q, dq, load
-            [s, rad, rad/s, N.m], numbered from 1 for several joints.
-        y : (N,) or (N, n) measured torque of the rows of a table [N.m]; None for logs.
+        X : one or several logs (`Log` or path), or a table with columns t, q,
+            dq, load [s, rad, rad/s, N.m], numbered from 1 for several joints.
+        y : (N,) or (N, n) measured torque of the rows of a table [N.m]; None
+            for logs.
 
         Raises
         ------

@@ -18,11 +18,13 @@ class HesrError(Exception):
     Attributes
     ----------
     code : str
-        Name of the rule that was broken, such as ``"log.unit"``; empty if the rule has no name.
+        Name of the rule that was broken, such as ``"log.unit"``; empty if the
+        rule has no name.
     where : str
         File, or other place, of the offending value; may be empty.
     key : str
-        Key within `where`, such as ``"log.units.q"``; empty if the whole file is refused.
+        Key within `where`, such as ``"log.units.q"``; empty if the whole file
+        is refused.
     """
 
     def __init__(

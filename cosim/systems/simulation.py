@@ -63,7 +63,8 @@ class System:
         ArtifactError
             If an SSP cannot be read, or is not safe to unpack.
         ConfigError
-            If the system is invalid or not supported, naming the file and the key or element.
+            If the system is invalid or not supported, naming the file and the
+            key or element.
         SimulationError
             If an FMU in an SSP cannot be read and its units are needed.
         """

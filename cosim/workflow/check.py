@@ -101,27 +101,30 @@ def check(
     trust: bool = False,
     progress: Stages = silent,
 ) -> FmuReport:
-    """Validate FMUs and SSPs (schemas, FMPy, VDMCheck2, own rules).
+    r"""Validate FMUs and SSPs (schemas, FMPy, VDMCheck2, own rules).
 
-    An error violates the standard or fails in a host, a warning may fail in some; advice concerns
-    comfort. The static checks always run and execute no code of the FMU; the other kinds do.
+    An error violates the standard or fails in a host, a warning may fail in
+    some; advice concerns comfort. The static checks always run and execute no
+    code of the FMU; the other kinds do.
 
     Parameters
     ----------
     fmus : path or sequence of paths
         FMUs of any tool, of FMI 1.0, 2.0 or 3.0; SSPs.
     kind : str or sequence of str, optional
-        Further checks, repeatable: references (against the reference results that the file
-        carries), hostile (odd and repeated steps, invalid calls), convention (error of each input
-        convention).
+        Further checks: references (against the reference results that the file
+        carries), hostile (odd and repeated steps, invalid calls), convention
+        (error of each input convention).
     vdmcheck : path, optional
         Folder with VDMCheck2, which is not run without it.
     junit : path, optional
-        JUnit file to write: a test case per file and rule, which fails for an error.
+        JUnit file to write: a test case per file and rule, which fails for an
+        error.
     sarif : path, optional
         SARIF file to write, for code hosts.
     trust : bool, optional
-        Run these FMUs without a sandbox, now and later: faster, but with all your rights.
+        Run these FMUs without a sandbox, now and later: faster, but with all
+        your rights.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 
@@ -133,9 +136,11 @@ def check(
     Raises
     ------
     ArtifactError
-        If a file does not exist or cannot be opened; damage inside is a finding.
+        If a file does not exist or cannot be opened; damage inside is a
+        finding.
     ConfigError
-        If VDMCheck2 is missing in `vdmcheck`, or an SSP is given for another kind.
+        If VDMCheck2 is missing in `vdmcheck`, or an SSP is given for another
+        kind.
 
     Examples
     --------
@@ -143,7 +148,8 @@ def check(
 
         $ hesr check Friction.fmu --vdmcheck .tools/vdmcheck2
         $ hesr check Friction.fmu --kind hostile --kind references
-        $ hesr check System.ssp --fail-on warning --junit check.xml --sarif check.sarif
+        $ hesr check System.ssp --fail-on warning --junit check.xml \
+          --sarif check.sarif
 
     >>> import hesr
     >>> hesr.check("Friction.fmu").passed

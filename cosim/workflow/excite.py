@@ -70,11 +70,12 @@ def excite(
     format: str | None = None,  # noqa: A002 - name of the option
     progress: Stages = silent,
 ) -> ExcitationDesign | Answer:
-    """Design motions for the body, friction, and tests.
+    r"""Design motions for the body, friction, and tests.
 
-    They stay within the limits of the robot's model and of the settings. Without 'time', 'after'
-    and 'format', the motion for the body is the one that identifies a robot best, without checks
-    of collisions. Other motions start and end at rest in one pose, and collisions are checked.
+    They stay within the limits of the robot's model and of the settings.
+    Without `time`, `after` and `format`, the motion for the body is the one
+    that identifies a robot best, without checks of collisions. Other motions
+    start and end at rest in one pose, and collisions are checked.
 
     Parameters
     ----------
@@ -83,28 +84,33 @@ def excite(
     output : path
         CSV or Parquet file to write; default: motion.csv.
     settings : path, optional
-        TOML file with limits, harmonics and periods; also start pose, floor and walls.
+        TOML file with limits, harmonics and periods; also start pose, floor and
+        walls.
     purpose : {"body", "friction", "test", "all"}
         What the motion is for; 'all' writes one file for each.
     time : float, s, optional
-        Total time of the motions; default: 30 s for the body, 60 s for friction, 45 s for tests.
+        Total time of the motions; default: 30 s for the body, 60 s for
+        friction, 45 s for tests.
     after : path, optional
-        Results of 'hesr run': plan the motion that resolves most of what they leave open.
+        Results of `run`: plan the motion that resolves most of what they
+        leave open.
     format : str, optional
-        Format of the files: csv, parquet, urscript, ros2; default: that of the suffix.
+        Format of the files: csv, parquet, urscript, ros2; default: that of the
+        suffix.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 
     Returns
     -------
     ExcitationDesign or Answer
-        Motion (positions in rad, time in s), its condition number and the files; or the parts of
-        planned motions and their files.
+        Motion (positions in rad, time in s), its condition number and the
+        files; or the parts of planned motions and their files.
 
     Raises
     ------
     HesrError
-        If the robot or the settings cannot be used, or no motion keeps the limits.
+        If the robot or the settings cannot be used, or no motion keeps the
+        limits.
 
     Examples
     --------
@@ -112,7 +118,8 @@ def excite(
 
         $ hesr excite robot.toml -o motion.csv
         $ hesr excite robot.toml --for all --time 120 -o motion.csv
-        $ hesr excite robot.toml --after results/my_arm --format urscript -o next.script
+        $ hesr excite robot.toml --after results/my_arm --format urscript \
+          -o next.script
 
     >>> import hesr
     >>> hesr.excite("robot.toml", output="motion.csv").forward.name

@@ -51,22 +51,24 @@ def export(
     progress: Stages = silent,
     **options: Unpack[ExportOptions],
 ) -> Path:
-    """Write a law, an arm, a system or a closed loop for other tools.
+    r"""Write a law, an arm, a system or a closed loop for other tools.
 
     Parameters
     ----------
     source : law or path
-        Friction model (.json) or uf850-table1 (the paper's); MJCF or URDF of an arm (.xml, .urdf);
-        system of FMUs (.toml, .ssp); with format loop, results of a study of a twin, or the study.
+        Friction model (.json) or uf850-table1 (the paper's); MJCF or URDF of an
+        arm (.xml, .urdf); system of FMUs (.toml, .ssp); with format loop,
+        results of a study of a twin, or the study.
     output : path
         File to write, or folder of a loop.
     format : str, optional
-        One of the formats that 'hesr export --help' lists, of HESR or another package; by default
-        fmu of a law or an arm, and ssp of a system.
+        One of the formats that 'hesr export --help' lists, of HESR or another
+        package; by default fmu of a law or an arm, and ssp of a system.
     platform : str or sequence of str, optional
-        Platforms of an FMU: linux64, win64, darwin64, aarch64-linux or all; repeatable; by default
-        linux64, win64 and that of this machine. The FMU of an arm has that of this machine only by
-        default: MuJoCo for other platforms must be downloaded.
+        Platforms of an FMU: linux64, win64, darwin64, aarch64-linux or all; by
+        default linux64, win64 and that of this machine. The FMU of an arm has
+        that of this machine only by default: MuJoCo for other platforms must be
+        downloaded.
     progress : callable, optional
         Called with stage, steps done and steps in total.
     **options
@@ -90,7 +92,8 @@ def export(
 
         $ hesr export law.json -o Friction.fmu --platform all
         $ hesr export law.json --format drive --inertia 3,3,0.6 -o Drive.fmu
-        $ hesr export law.json --format plant --robot robot.toml --rigid-body body.json -o Arm.fmu
+        $ hesr export law.json --format plant --robot robot.toml \
+          --rigid-body body.json -o Arm.fmu
         $ hesr export robot.xml -o Arm.fmu --signals arm.toml --platform win64
         $ hesr export robot.urdf -o Arm.fmu
         $ hesr export closed_loop.toml -o loop.ssp

@@ -80,35 +80,38 @@ def fit(
     Parameters
     ----------
     logs : log or sequence of logs
-        CSV, Parquet or MATLAB files, or ROS bags; in Python also `Log` objects. Of long logs at
-        most 10^6 rows are used, in whole stretches that cover speed, load and rest.
+        CSV, Parquet or MATLAB files, or ROS bags; in Python also `Log` objects.
+        Of long logs at most 10^6 rows are used, in whole stretches that cover
+        speed, load and rest.
     law : str, path, law or class
-        Name of a law (--list shows them), in Python also its class; or choose: the proposed law of
-        each joint that predicts left-out rows best; with --add also a fitted law (.json).
+        Name of a law ('hesr fit --list' lists them) or, in Python, its class;
+        or choose: the proposed law of each joint that predicts left-out rows
+        best; with `add` also a fitted law (.json).
     robot : robot or path, optional
         Robot file (.toml), URDF or MJCF; by default the robot of the logs.
     rigid_body : body or path, optional
-        Result of 'hesr identify'; by default identified from the logs.
+        Result of `identify`; by default identified from the logs.
     seed : int
         Random seed; the same logs and seed give the same law.
     options : mapping, optional
-        Options of the law, with values as in TOML; repeatable.
+        Options of the law, with values as in TOML.
     add : str or sequence of str, optional
-        Refinements of the fitted law, such as temperature; repeatable.
+        Refinements of the fitted law, such as temperature.
     prior : law or sequence of laws, optional
-        Instead of law: fitted laws (.json) of this robot to adapt to the logs, from other days;
-        repeatable for laws of one structure.
+        Instead of law: fitted laws (.json) of this robot to adapt to the logs,
+        from other days and of one structure.
     output : path, optional
         JSON file to write.
     accept : str or sequence of str, optional
-        Names of checks whose errors only warn; repeatable.
+        Names of checks whose errors only warn.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 
     Returns
     -------
     FrictionModel
-        Law of each joint with coefficients [SI units], their covariance and provenance.
+        Law of each joint with coefficients [SI units], their covariance and
+        provenance.
 
     Raises
     ------
@@ -121,13 +124,15 @@ def fit(
 
         $ hesr fit sweep.csv --robot robot.toml --rigid-body rigid_body.json \
           --law parfam_h -o law.json --option 'search="paper"'
-        $ hesr fit cold.csv warm.csv --robot robot.toml --law law.json --add temperature \
-          -o warm.json
+        $ hesr fit cold.csv warm.csv --robot robot.toml --law law.json \
+          --add temperature -o warm.json
         $ hesr fit seconds.csv --robot robot.toml --rigid-body rigid_body.json \
           --prior law.json -o adapted.json
 
     >>> import hesr
-    >>> hesr.fit("sweep.csv", law="stribeck", robot="robot.toml", rigid_body="rigid_body.json")
+    >>> body = hesr.identify("excitation.csv", robot="robot.toml")
+    >>> log = hesr.Log.read("sweep.csv", "robot.toml")
+    >>> hesr.fit(log, law="stribeck", rigid_body=body)
     FrictionModel('stribeck' of 'arm', 3 joints)
     """
     from cosim.study.law_choice import fit_chosen_laws

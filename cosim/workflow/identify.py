@@ -56,12 +56,14 @@ def identify(
     robot : robot or path, optional
         Robot file (.toml), URDF or MJCF; by default the robot of the logs.
     reversed_logs : log or sequence of logs, optional
-        Time-reversed counterparts of the logs; repeatable.
+        Time-reversed counterparts of the logs.
     method : {"stacked", "paper"}
-        stacked (least squares with friction columns) or paper (average of forward and reverse).
+        stacked (least squares with friction columns) or paper (average of
+        forward and reverse).
     body : {"choose", "nominal", "physical", "free"}
-        Masses of the model file (nominal), physically possible ones, or those of plain least
-        squares (free); choose takes those that predict left-out rows best.
+        Masses of the model file (nominal), physically possible ones, or those
+        of plain least squares (free); choose takes those that predict left-out
+        rows best.
     physical : bool
         The same as `body` physical.
     friction : law or path, optional
@@ -73,7 +75,7 @@ def identify(
     output : path, optional
         JSON file to write.
     accept : str or sequence of str, optional
-        Names of checks whose errors only warn; repeatable.
+        Names of checks whose errors only warn.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 
@@ -89,10 +91,11 @@ def identify(
 
     Notes
     -----
-    Equations 5 to 7 of the paper; `method` paper is its section II, with a free body. Logs of more
-    than 4 million numbers are read in pieces, with memory that does not grow with the rows and a
-    free body, except with `method` paper, `friction`, `payload`, or `body` nominal or physical;
-    the checks then read eight pieces.
+    Equations 5 to 7 of the paper; `method` paper is its section II, with a free
+    body. Logs of more than 4 million numbers are read in pieces, with memory
+    that does not grow with the rows and a free body, except with `method`
+    paper, `friction`, `payload`, or `body` nominal or physical; the checks then
+    read eight pieces.
 
     Examples
     --------

@@ -147,30 +147,34 @@ def inspect(
     payload: Iterable[float] | None = None,
     progress: Stages = silent,
 ) -> Inspection:
-    """Find errors in logs and robots; propose a robot file.
+    r"""Find errors in logs and robots; propose a robot file.
 
     Parameters
     ----------
     logs : log or sequence of logs
-        CSV, Parquet or MATLAB files, or ROS bags; without any only the robot is inspected.
+        CSV, Parquet or MATLAB files, or ROS bags; without any only the robot is
+        inspected.
     robot : robot or path, optional
-        Robot file (.toml), URDF or MJCF; without it logs are checked against themselves.
+        Robot file (.toml), URDF or MJCF; without it logs are checked against
+        themselves.
     joints : str or sequence of str, optional
-        Joints that move in the logs, repeatable or with commas; default: those of the columns.
+        Joints that move in the logs; default: those of the columns.
     write : path, optional
         Robot file to write as proposed.
     study : path, optional
-        Study of these logs to write, for 'hesr run'.
+        Study of these logs to write, for `run`.
     output : path, optional
         Page (.html) or picture (.svg) to write.
     torque_constants : bool
-        Estimate torque constants from known masses: those of the model, or a payload.
+        Estimate torque constants from known masses: those of the model, or a
+        payload.
     mass_error : float
         Torque constants: relative error of the model's masses, one sigma.
     loaded : log or sequence of logs, optional
-        Torque constants: logs under the payload; repeatable.
+        Torque constants: logs under the payload.
     payload : sequence of four float, kg and m, optional
-        Torque constants: mass and centre of the payload in the frame of the last joint.
+        Torque constants: mass and centre of the payload in the frame of the
+        last joint.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 
@@ -190,8 +194,10 @@ def inspect(
     --------
     On the command line::
 
-        $ hesr inspect log.csv --robot my_arm.urdf --write robot.toml --study study.toml
-        $ hesr inspect run.csv --robot robot.toml --torque-constants --mass-error 0.2
+        $ hesr inspect log.csv --robot my_arm.urdf --write robot.toml \
+          --study study.toml
+        $ hesr inspect run.csv --robot robot.toml --torque-constants \
+          --mass-error 0.2
 
     >>> import hesr
     >>> hesr.inspect("sweep.csv", robot="robot.toml").passed

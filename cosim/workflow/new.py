@@ -38,10 +38,11 @@ def new(
     source: StatedSource | None = None,
     progress: Stages = silent,
 ) -> NewProject:
-    """Create a project folder: study, robot file, sample logs.
+    r"""Create a project folder: study, robot file, sample logs.
 
-    'hesr run' runs it at once; comments in the study say what can be changed. The folder of a bench
-    has a robot file and a model of independent bodies, whose study 'hesr inspect' writes.
+    `run` runs it at once; comments in the study say what can be changed.
+    The folder of a bench has a robot file and a model of independent bodies,
+    whose study `inspect` writes.
 
     Parameters
     ----------
@@ -50,29 +51,34 @@ def new(
     robot : path, optional
         URDF or MJCF (.xml) of the robot.
     joints : str or sequence of str, optional
-        Joints that move in the logs, repeatable or with commas; default: the longest chain, without
+        Joints that move in the logs; default: the longest chain, without
         fingers; 'motor' or 'axis' of a bench.
     bench : {"rotary", "sliding"}, optional
         Kind of a bench: motors or sliding axes without a model file.
     twin : bool
-        A digital twin instead of a robot: 'hesr simulate' makes the logs of its motions.
+        A digital twin instead of a robot: `simulate` makes the logs of its
+        motions.
     public : path, optional
-        Clone of a public repository with the logs of a measured robot; docs/data.md lists them.
+        Clone of a public repository with the logs of a measured robot;
+        docs/data.md lists them.
     inertia : float or sequence of float, kg m2 or kg, optional
-        Bench: inertia, or mass of a sliding axis, one for all or one per joint; default:
-        identified.
+        Bench: inertia, or mass of a sliding axis, one for all or one per joint;
+        default: identified.
     gravity : bool
-        Bench: sliding axes are vertical, or rotary bodies have a gravity moment.
+        Bench: sliding axes are vertical, or rotary bodies have a gravity
+        moment.
     moment : float or sequence of float, N m, optional
-        Bench: amplitude of the gravity moment; default with 'gravity': identified.
+        Bench: amplitude of the gravity moment; default with `gravity`:
+        identified.
     phase : float or sequence of float, rad, optional
-        Bench: rest position of the hanging body; required with 'moment'.
+        Bench: rest position of the hanging body; required with `moment`.
     gear_ratio : float or sequence of float, optional
-        Bench: turns of the motor per turn of the joint, for laws with motor ripple.
+        Bench: turns of the motor per turn of the joint, for laws with motor
+        ripple.
     log : mapping, optional
-        Bench: keys of [log] in the robot file, such as torque_per_ampere=0.2; repeatable.
+        Bench: keys of [log] in the robot file, such as torque_per_ampere=0.2.
     source : {"measured", "datasheet", "identified", "guessed"}, optional
-        Bench: how the torque constants of 'log' are known.
+        Bench: how the torque constants of `log` are known.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 
@@ -91,7 +97,8 @@ def new(
     On the command line::
 
         $ hesr new my_arm --robot my_arm.urdf
-        $ hesr new my_motor --bench rotary --log torque_per_ampere=0.2 --source datasheet
+        $ hesr new my_motor --bench rotary --log torque_per_ampere=0.2 \
+          --source datasheet
         $ hesr new my_lift --bench sliding --gravity --inertia 80
         $ hesr new ur10e --public dynamic_calibration
 

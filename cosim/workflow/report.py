@@ -34,26 +34,28 @@ def report(
     speed: float = 1.0,
     progress: Stages = silent,
 ) -> Path:
-    """Rebuild the report of a run, or show its closed loop.
+    r"""Rebuild the report of a run, or show its closed loop.
 
-    The suffix of the output decides: one page (.html), tables for a repository (.md), a video of
-    the arm (.mp4) or an animated picture (.webp). The arm is drawn over a ghost of its commanded
-    pose.
+    The suffix of the output decides: one page (.html), tables for a repository
+    (.md), a video of the arm (.mp4) or an animated picture (.webp). The arm is
+    drawn over a ghost of its commanded pose.
 
     Parameters
     ----------
     results : path or sequence of paths
-        Folders that 'hesr run' has written; several for Markdown, which begins with a table over
-        robots: recommended law against the strongest reference.
+        Folders that `run` has written; several for Markdown, which begins
+        with a table over robots: recommended law against the strongest
+        reference.
     output : path, optional
         File to write; by default RESULT/report.html.
     view : bool
         Show the closed loop in a window.
     law : str or sequence of str, optional
-        View and video: laws to show side by side, repeatable; by default the rigid body alone and
-        the law that tracks best.
+        View and video: laws to show side by side; by default the
+        rigid body alone and the law that tracks best.
     scheme : str, optional
-        View and video: control scheme, named as in the tables of the run; default: servo_inversion.
+        View and video: control scheme, named as in the tables of the run;
+        default: servo_inversion.
     magnify : float
         View and video: magnification of the deviations from the commanded pose.
     speed : float
@@ -77,7 +79,8 @@ def report(
 
         $ hesr report results/uf850 -o uf850.html
         $ hesr report results/uf850 results/ur10e -o docs/results.md
-        $ hesr report results/uf850 --view --law stribeck --law parfam_h --magnify 20
+        $ hesr report results/uf850 --view --law stribeck --law parfam_h \
+          --magnify 20
         $ hesr report results/uf850 --speed 0.5 -o arm.mp4
 
     >>> import hesr

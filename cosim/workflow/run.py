@@ -236,36 +236,39 @@ def run(
 ) -> RunResult | Seeds | Answer:
     """Run a whole study: identify, fit, build FMUs and score them.
 
-    Scores are those of the FMUs on motions that were not used for fitting. An interrupted run
-    continues where it stopped.
+    Scores are those of the FMUs on motions that were not used for fitting. An
+    interrupted run continues where it stopped.
 
     Parameters
     ----------
     study : path, optional
-        Study (.toml), or the name of a shipped one: ur10, fretting and cylinder are measured, paper
-        has the claims of the paper; by default the digital twin.
+        Study (.toml), or the name of a shipped one: ur10, fretting and cylinder
+        are measured, paper has the claims of the paper; by default the digital
+        twin.
     output : path, optional
         Folder of the results; by default results/NAME.
     platform : str or sequence of str, optional
-        Platforms of the FMUs: linux64, win64, darwin64, aarch64-linux or all; repeatable; by
-        default linux64, win64 and that of this machine, which is always included. The arm of a
-        digital twin, with MuJoCo inside, has that of this machine only.
+        Platforms of the FMUs: linux64, win64, darwin64, aarch64-linux or all;
+        by default linux64, win64 and that of this machine, which is
+        always included. The arm of a digital twin, with MuJoCo inside, has that
+        of this machine only.
     quick : bool
-        Stribeck, LuGre and ParFam-H only, in closed loop on one motion, without physics checks;
-        figures of the report neither zoom nor are files until 'hesr report' is run.
+        Stribeck, LuGre and ParFam-H only, in closed loop on one motion, without
+        physics checks; figures of the report neither zoom nor are files until
+        `report` is run.
     seeds : int, optional
-        Twin only: score the laws over N draws of noise, motions and true friction instead, without
-        FMUs; writes seeds.json.
+        Twin only: score the laws over N draws of noise, motions and true
+        friction instead, without FMUs; writes seeds.json.
     accept : str or sequence of str, optional
-        Names of checks whose errors only warn; repeatable.
+        Names of checks whose errors only warn.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 
     Returns
     -------
     RunResult
-        Verdict, scores [N.m], FMUs and findings; with `seeds` the spread over the draws; for a
-        study of claims, an answer with their table.
+        Verdict, scores [N.m], FMUs and findings; with `seeds` the spread over
+        the draws; for a study of claims, an answer with their table.
 
     Raises
     ------

@@ -39,14 +39,15 @@ def simulate(
     trust: bool = False,
     progress: Stages = silent,
 ) -> Signals | Answer:
-    """Run a system of FMUs, once or in a sweep, or one FMU of any tool.
+    r"""Run a system of FMUs, once or in a sweep, or one FMU of any tool.
 
     An interrupted sweep continues where it stopped.
 
     Parameters
     ----------
     system : path
-        System (.toml: FMUs, connections, steps), SSP or FMU, or sweep (.toml: what is varied).
+        System (.toml: FMUs, connections, steps), SSP or FMU, or sweep (.toml:
+        what is varied).
     output : path, optional
         CSV or Parquet file; for a sweep, the folder (default: results/NAME).
     start : float, s, optional
@@ -56,28 +57,33 @@ def simulate(
     step : float, s, optional
         SSP and FMU: time between rows; by default that of the file.
     set : str or sequence of str, optional
-        SSP and FMU: start values as NAME=VALUE, repeatable.
+        SSP and FMU: start values as NAME=VALUE.
     input : path, optional
-        FMU: CSV of inputs over time [s], linear for continuous inputs and held for others.
+        FMU: CSV of inputs over time [s], linear for continuous inputs and held
+        for others.
     only : int, optional
         Sweep: repeat this run only and write its signals.
     workers : int, optional
         Sweep: processes; by default one per core.
     cluster : str, optional
-        Sweep: address of a scheduler of dask.distributed, with the TLS settings of Dask.
+        Sweep: address of a scheduler of dask.distributed, with the TLS settings
+        of Dask.
     insecure : bool
         Sweep: allow a cluster on another machine without encryption.
     isolate : bool
-        System: run each untrusted FMU in a process of its own, not all in one: slower.
+        System: run each untrusted FMU in a process of its own, not all in one:
+        slower.
     trust : bool
-        Run these FMUs without a sandbox, now and later: faster, but with all your rights.
+        Run these FMUs without a sandbox, now and later: faster, but with all
+        your rights.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 
     Returns
     -------
     Signals or SweepResult
-        Observed signals over time [s]; for a sweep, outputs, worst runs and sensitivities.
+        Observed signals over time [s]; for a sweep, outputs, worst runs and
+        sensitivities.
 
     Raises
     ------
@@ -93,7 +99,8 @@ def simulate(
         $ hesr simulate loop.toml -o result.csv
         $ hesr simulate payload.toml -o results/payload
         $ hesr simulate payload.toml --only 7 -o run.csv
-        $ hesr simulate Model.fmu --stop 10 --set gain=2 --input steps.csv -o result.csv
+        $ hesr simulate Model.fmu --stop 10 --set gain=2 --input steps.csv \
+          -o result.csv
 
     >>> import hesr
     >>> float(hesr.simulate("loop.toml").t[0])

@@ -182,33 +182,37 @@ def test(
 ) -> LawReport:
     r"""Test friction laws: prediction, passivity, physics checks.
 
-    Models and FMUs of any tool get the same tests. A foreign FMU gets no proof of passivity, and
-    only the physics checks that its connectors allow.
+    Models and FMUs of any tool get the same tests. A foreign FMU gets no proof
+    of passivity, and only the physics checks that its connectors allow.
 
     Parameters
     ----------
     laws : law, path, or sequence or mapping of these
-        Friction models (.json), friction FMUs (.fmu) of any tool, or uf850-table1.
+        Friction models (.json), friction FMUs (.fmu) of any tool, or
+        uf850-table1.
     on : log or sequence of logs, optional
-        Logs for the prediction; repeatable. Of more than 10^6 rows those that cover speed, load and
-        rest are used.
+        Logs for the prediction. Of more than 10^6 rows those that cover speed,
+        load and rest are used.
     kind : str or sequence of str, optional
-        Tests, repeatable: prediction, passivity, properties (thirteen experiments: memory,
-        stick-slip, dissipation, ..); by default prediction and passivity with --on, else passivity.
+        Tests: prediction, passivity, properties (thirteen experiments: memory,
+        stick-slip, dissipation, ..); by default prediction and passivity with
+        `on`, else passivity.
     robot : robot or path, optional
         Robot file (.toml), URDF or MJCF; by default the robot of the logs.
     rigid_body : body or path, optional
-        Result of 'hesr identify'; required for the prediction.
+        Result of `identify`; required for the prediction.
     inertia : float or sequence of float, kg.m2, optional
-        Properties: inertia of the joints, one value or one per joint; 3,3,0.6 for the uf850.
+        Properties: inertia of the joints, one value or one per joint; 3, 3, 0.6
+        for the uf850.
     load : float, N.m
         Properties: default load torque of the experiments.
     output : path, optional
         JSON file of the properties.
     trust : bool
-        Run these FMUs without a sandbox, now and later: faster, but with all your rights.
+        Run these FMUs without a sandbox, now and later: faster, but with all
+        your rights.
     accept : str or sequence of str, optional
-        Names of checks whose errors only warn; repeatable.
+        Names of checks whose errors only warn.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 

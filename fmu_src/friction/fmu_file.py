@@ -45,7 +45,8 @@ class Fmu:
     path : path
         The FMU.
     trust : bool
-        Run this FMU without a sandbox, now and later: faster, but with all your rights.
+        Run this FMU without a sandbox, now and later: faster, but with all your
+        rights.
 
     Attributes
     ----------

@@ -11,18 +11,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hesr.cli import console
-from hesr.cli.derive import Function, command
+from hesr.cli.derive import VERBS, Function, command
 from hesr_model.errors import ArgumentError, ConfigError
 from hesr_model.support import plugins
 
 if TYPE_CHECKING:
     from cosim.workflow.answer import Answer
     from cosim.workflow.export_formats import HelpSection
-
-_VERBS = (
-    *("new", "inspect", "excite", "identify", "fit", "test"),
-    *("export", "check", "simulate", "run", "report"),
-)
 
 _EPILOG = """\b
 Exit codes:
@@ -48,12 +43,12 @@ class _Verbs(click.Group):
     """Verbs in the order of work."""
 
     def list_commands(self, _: click.Context) -> list[str]:
-        return [*_VERBS, *plugins.names("hesr.commands")]
+        return [*VERBS, *plugins.names("hesr.commands")]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name in console.MOVED_VERBS:
             console.refuse(console.MOVED_VERBS[cmd_name])
-        if cmd_name not in _VERBS and cmd_name not in self.list_commands(ctx):
+        if cmd_name not in VERBS and cmd_name not in self.list_commands(ctx):
             return None
         function = find_workflow(cmd_name)
         return command(cmd_name, function, _invoke, help_sections(function))
@@ -61,7 +56,7 @@ class _Verbs(click.Group):
 
 def find_workflow(verb: str) -> Function:
     """Return the workflow function of a verb."""
-    if verb in _VERBS:
+    if verb in VERBS:
         function: Function = getattr(import_module(f"cosim.workflow.{verb}"), verb)
         return function
     workflow: Function = plugins.load("hesr.commands")[verb].load()

@@ -26,6 +26,12 @@ Function = Callable[..., Any]
 Kind = click.ParamType[Any, Any]
 Invoke = Callable[[Function, dict[str, Any]], None]
 
+VERBS = (
+    *("new", "inspect", "excite", "identify", "fit", "test"),
+    *("export", "check", "simulate", "run", "report"),
+)
+"""Commands of HESR without plug-ins, in the order of work."""
+
 _ITEMS = {
     "Names": "str",
     "Paths": "PathArg",
@@ -48,12 +54,14 @@ class Form:
     option: bool = False  # although the parameter is positional
     minimum: int | None = None  # smallest integer
     complete: str = ""  # source of the completion: a group of plug-ins, or "platforms"
+    repetition: str = "repeatable"  # how several items are given
 
 
 _FORMS = {
     "output": Form(names=("-o", "--output"), metavar="FILE"),
     "export.output": Form(names=("-o", "--output"), metavar="FILE", option=True),
     "new.robot": Form(metavar="MODEL", option=True),
+    "joints": Form(repetition="repeatable or with commas"),
     "logs": Form(metavar="LOG"),
     "laws": Form(metavar="LAW"),
     "fmus": Form(metavar="FMU"),
@@ -130,17 +138,36 @@ class Docstring:
         examples = re.sub(r" \\\n\s*", " ", sections.get("Examples", ""))
         return cls(
             summary=head.partition("\n")[0],
-            text=_replace_backticks(head),
+            text=_name_options(head, function),
             parameters={
-                name: _replace_backticks(" ".join(description.split()))
+                name: _name_options(" ".join(description.split()), function)
                 for name, description in entries
             },
             examples=re.findall(r"^ *\$ (hesr .*)$", examples, re.MULTILINE),
         )
 
 
-def _replace_backticks(text: str) -> str:
-    return re.sub(r"`+", "'", text).strip()
+def _name_options(text: str, function: Function) -> str:
+    """Return text with options for parameters in backticks, and commands for functions."""
+    parameters = inspect.signature(function).parameters
+
+    def replace(match: re.Match[str]) -> str:
+        name = match[1]
+        if name in parameters and parameters[name].kind is inspect.Parameter.KEYWORD_ONLY:
+            return _name_option(function.__name__, name)
+        return f"'hesr {name}'" if name in VERBS else f"'{name}'"
+
+    return re.sub(r"`+([^`]+)`+", replace, text).strip()
+
+
+def _name_option(verb: str, name: str) -> str:
+    """Return the long name of the option of a parameter."""
+    names = _find_form(verb, name).names or (f"--{name.replace('_', '-')}",)
+    return names[-1]
+
+
+def _find_form(verb: str, name: str) -> Form:
+    return _FORMS.get(f"{verb}.{name}") or _FORMS.get(name) or Form()
 
 
 def command(
@@ -269,7 +296,7 @@ def _merge_tables(tables: Sequence[dict[str, Any]]) -> dict[str, Any]:
 def _build_parameter(
     verb: str, parameter: inspect.Parameter, text: str, function: Function
 ) -> click.Parameter:
-    form = _FORMS.get(f"{verb}.{parameter.name}") or _FORMS.get(parameter.name) or Form()
+    form = _find_form(verb, parameter.name)
     annotation = str(parameter.annotation).removesuffix(" | None")
     item_match = re.fullmatch(r"Sequence\[(.*)\]|.* \| Iterable\[(.*)\]", annotation)
     item_annotation = _ITEMS.get(annotation, annotation)
@@ -288,13 +315,16 @@ def _build_parameter(
         )
     if item_annotation == "bool":
         return click.Option(
-            [f"--{parameter.name.replace('_', '-')}", parameter.name], is_flag=True, help=text
+            [_name_option(verb, parameter.name), parameter.name], is_flag=True, help=text
         )
     kind = _choose_kind(item_annotation, function, form)
+    is_multiple = is_repeated or isinstance(kind, _Pair)
+    if is_multiple and text:
+        text = f"{text.removesuffix('.')} ({form.repetition})."
     return click.Option(
-        [*(form.names or (f"--{parameter.name.replace('_', '-')}",)), parameter.name],
+        [*(form.names or (_name_option(verb, parameter.name),)), parameter.name],
         type=kind,
-        multiple=is_repeated or isinstance(kind, _Pair),
+        multiple=is_multiple,
         required=is_required,
         metavar=form.metavar or _choose_metavar(item_annotation, kind),
         help=text,

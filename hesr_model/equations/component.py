@@ -20,8 +20,8 @@ from hesr_model.errors import ArtifactError
 class Quantity:
     """Named number with its SI unit in FMI's spelling.
 
-    `values` are the numbers of an integer with their meanings; a `logical` quantity is 0 or 1. Both
-    have the unit 1.
+    `values` are the numbers of an integer with their meanings; a `logical`
+    quantity is 0 or 1. Both have the unit 1.
     """
 
     name: str

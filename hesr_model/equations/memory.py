@@ -104,8 +104,8 @@ class Relaxation(MemoryElement):
     def steady_state(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
         """Return drive / rate, the zero of x'; x itself if the rate is 0.
 
-        If the rate depends on x, return the point halfway there, as in Heron's square root; whole
-        steps could oscillate.
+        If the rate depends on x, return the point halfway there, as in Heron's
+        square root; whole steps could oscillate.
         """
         if not self.seeks:
             return over(first, second, self.state)
@@ -153,9 +153,10 @@ class Stop(MemoryElement):
     def express_derivative(self) -> sympy.Expr:
         """Return x' without events, passive with the same storage function.
 
-        With e = w x, d = max(0.01 w s, 1e-3 w), b = max(w s - d, 0) and m = max(w s, d),
-        e' = v - abs(v)/d (e - clip(e, -b, b)) - (e - clip(e, -m, m))/T: the second term bounds the
-        deflection, the last one follows a bound that shrinks at rest.
+        With e = w x, d = max(0.01 w s, 1e-3 w), b = max(w s - d, 0) and m =
+        max(w s, d), e' = v - abs(v)/d (e - clip(e, -b, b)) - (e - clip(e, -m,
+        m))/T: the second term bounds the deflection, the last one follows a
+        bound that shrinks at rest.
         """
         s = positive(self.bound)
         d = larger(s / 100, sympy.Rational(1, 1000))

@@ -31,7 +31,8 @@ class DeclarativeEstimator(Estimator):
 
     Attributes
     ----------
-    ripple : True to add harmonics of the motor angle if the gear ratio is known.
+    ripple : True to add harmonics of the motor angle if the gear ratio is
+        known.
     start_samples : number of first torques of a log that set the initial state.
     limited : True to limit the load in the memory to the largest in training.
     """

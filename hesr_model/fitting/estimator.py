@@ -16,9 +16,10 @@ from hesr_model.support import parallel, plugins
 class Estimator(ABC):
     """Estimator of one law from the friction records of one joint.
 
-    Hyper-parameters are arguments of the constructor. To add a law, write a class with `form` and
-    `fit`, decorate it with `register` and name its module in an entry point of the group
-    `hesr.laws` (`docs/add-a-law.md`). Subclasses do not inherit `baseline` and the facts below it.
+    Hyper-parameters are arguments of the constructor. To add a law, write a
+    class with `form` and `fit`, decorate it with `register` and name its module
+    in an entry point of the group `hesr.laws` (`docs/add-a-law.md`). Subclasses
+    do not inherit `baseline` and the facts below it.
 
     Attributes
     ----------
@@ -27,8 +28,10 @@ class Estimator(ABC):
     typical : structure for showing the equations without a fit.
     needs : optional fields of a `FrictionRecord` that the law requires.
     everyday : True to include it in studies without a list of laws.
-    classic : True for laws of the literature; the strongest is the reference in scores.
-    baseline : True for what a user has without a friction model; can be fitted to any log.
+    classic : True for laws of the literature; the strongest is the reference in
+        scores.
+    baseline : True for what a user has without a friction model; can be fitted
+        to any log.
     order : position in tables; laws of other packages come last.
     quick : True to include it in quick runs.
     proposed : True to include it in proposed studies.
@@ -105,9 +108,10 @@ _OWN_PACKAGES = ("hesr_model", "hesr")  # whose laws the tests check
 
 
 def register(estimator: Registered) -> Registered:
-    """Register an estimator by name, instead of an earlier definition in the same module.
+    """Register an estimator by name.
 
-    Raises ConfigError if another module has this name, or the class is not a usable law.
+    It replaces an earlier definition of the same module. Raises ConfigError if
+    another module has this name, or the class is not a usable law.
     """
     module = estimator.__module__
     if module.partition(".")[0] not in _OWN_PACKAGES:

@@ -31,8 +31,10 @@ class SearchSpace:
 
     Attributes
     ----------
-    bounds : name and bounds of each searched number; the scale of positive bounds is logarithmic.
-    linear : names of the unknowns to solve for; the first `non_negative` must not be negative.
+    bounds : name and bounds of each searched number; the scale of positive
+        bounds is logarithmic.
+    linear : names of the unknowns to solve for; the first `non_negative` must
+        not be negative.
     values : expressions of all other coefficients.
     """
 

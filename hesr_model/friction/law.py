@@ -78,8 +78,8 @@ class Coefficient(Quantity):
 class LawForm:
     """Expressions of a law, without numbers; ArtifactError for unknown or repeated symbols.
 
-    A motion that starts at `steady_speed` [rad/s, m/s] or faster starts in the steady state; at
-    rest the history is unknown. Slow joints have a lower one.
+    A motion that starts at `steady_speed` [rad/s, m/s] or faster starts in the
+    steady state; at rest the history is unknown. Slow joints have a lower one.
     """
 
     coefficients: tuple[Coefficient, ...]
@@ -217,12 +217,15 @@ class FrictionLaw:
 
     Attributes
     ----------
-    name, structure : law in the registry, and JSON data that select one form of its family.
+    name, structure : law in the registry, and JSON data that select one form of
+        its family.
     values : value of every coefficient of `form`, in its order and unit.
-    discretisation : "exact" integrates each relaxation exactly for inputs held over a step;
-        "euler" is eq. 10 and requires 0 <= rate * dt < 1.
-    start : initial states at rest, zero by default; in motion they are steady (`SETTLING`).
-    start_samples : first torques of a log that can replace the start (`predict.record_start`).
+    discretisation : "exact" integrates each relaxation exactly for inputs held
+        over a step; "euler" is eq. 10 and requires 0 <= rate * dt < 1.
+    start : initial states at rest, zero by default; in motion they are steady
+        (`SETTLING`).
+    start_samples : first torques of a log that can replace the start
+        (`predict.record_start`).
     """
 
     name: str

@@ -55,22 +55,26 @@ class FrictionModel:
     ----------
     law : name of the law, as in the registry or of a published model.
     laws : law of each joint, in the units of prismatic joints if it is one.
-    sliding : True for prismatic joints, with positions in m and forces in N; empty if none.
-    coupling : map from joints to friction coordinates if they differ; laws, trained ranges and
-        training errors are then of these coordinates.
+    sliding : True for prismatic joints, with positions in m and forces in N;
+        empty if none.
+    coupling : map from joints to friction coordinates if they differ; laws,
+        trained ranges and training errors are then of these coordinates.
     sample_time : sample period of the training data [s].
     trained : ranges of each law's training records; empty if unknown.
     training_rmse : error of each law on those records [N.m]; empty if unknown.
     left_out_rmse : the same on logs left out in turn [N.m]; empty if unknown.
     thermal : thermal model of each joint; empty if unknown.
-    provenance : JSON data on the origin of the model (files with hashes, seed, versions).
-    rigid_body : body by which friction was separated from the logs, for predictions of further
-        logs; None if the model was read from a file, which does not contain it.
+    provenance : JSON data on the origin of the model (files with hashes, seed,
+        versions).
+    rigid_body : body by which friction was separated from the logs, for
+        predictions of further logs; None if the model was read from a file,
+        which does not contain it.
 
     Raises
     ------
     ArtifactError
-        If numbers of entries and joints differ, or the sample time is not positive.
+        If numbers of entries and joints differ, or the sample time is not
+        positive.
     """
 
     law: str
@@ -169,7 +173,8 @@ class FrictionModel:
     def read(cls, path: PathArg) -> Self:
         """Read a friction model written by `write` or `hesr fit`.
 
-        Raises ArtifactError if the file cannot be read, or a key or value is missing or invalid.
+        Raises ArtifactError if the file cannot be read, or a key or value is
+        missing or invalid.
         """
         path = to_path(path, "a friction model")
         return cls.from_json(read_json(path, MODEL_FORMAT), path)
@@ -410,25 +415,31 @@ class FrictionModel:
     ) -> Array:
         """Return the friction torque of all joints, (N, n) [N.m].
 
-        A motion that starts at speed has steady initial states. A thermal model takes the
-        temperature of the records, or computes it; for arrays it takes the reference temperature.
+        A motion that starts at speed has steady initial states. A thermal model
+        takes the temperature of the records, or computes it; for arrays it
+        takes the reference temperature.
 
         Parameters
         ----------
-        records : a log, its path, or the records of a log from `residual.friction_records`.
+        records : a log, its path, or the records of a log from
+            `residual.friction_records`.
         t : (N,) time [s], increasing.
         dq : (N, n) joint velocity [rad/s].
         q : (N, n) joint position [rad]; zero by default.
-        tau_load : (N, n) rigid-body torque of the motion [N.m]; zero by default.
-        measured_start : True to estimate initial states from the first torques of a log.
-        rigid_body : body, or its file, that gives the load of a log; by default that of the fit.
+        tau_load : (N, n) rigid-body torque of the motion [N.m]; zero by
+            default.
+        measured_start : True to estimate initial states from the first torques
+            of a log.
+        rigid_body : body, or its file, that gives the load of a log; by default
+            that of the fit.
         robot : robot of a log; by default that of the log.
 
         Raises
         ------
         SimulationError
-            If a log has no rigid body, records or arrays do not match the model's joints, time does
-            not increase, or the discretisation of a law is unstable.
+            If a log has no rigid body, records or arrays do not match the
+            model's joints, time does not increase, or the discretisation of a
+            law is unstable.
         """
         if isinstance(records, Log | str | PathLike):
             records = self.records(records, rigid_body=rigid_body, robot=robot)
@@ -480,7 +491,8 @@ class FrictionModel:
         Raises
         ------
         SimulationError
-            If the records do not match the model's joints, or the model has no band.
+            If the records do not match the model's joints, or the model has no
+            band.
         """
         columns = {
             name: np.column_stack([getattr(record, name) for record in records])

@@ -35,9 +35,10 @@ _UNITS |= {"q_link": "rad", "q_cmd": "rad", "dq_cmd": "rad/s"}
 class Log:
     """The record of one motion of a robot.
 
-    Arrays are checked as files are: `hesr.Log(t=t, q=q, dq=dq, tau=tau)` raises LogError, with the
-    name of the parameter, for other shapes, missing numbers, or time that goes back. Lists and
-    integers become arrays of floating-point numbers; (N,) is (N, 1).
+    Arrays are checked as files are: `hesr.Log(t=t, q=q, dq=dq, tau=tau)` raises
+    LogError, with the name of the parameter, for other shapes, missing numbers,
+    or time that goes back. Lists and integers become arrays of floating-point
+    numbers; (N,) is (N, 1).
 
     Attributes
     ----------
@@ -46,14 +47,18 @@ class Log:
     q : (N, n) [rad; m for prismatic joints].
     dq : (N, n) [rad/s; m/s]; None if not logged.
     tau : (N, n) [N.m; N].
-    load : (N, n) [N], load of the friction in cylinders; None if it is that of the bodies.
+    load : (N, n) [N], load of the friction in cylinders; None if it is that of
+        the bodies.
     temperature : (N, n) [degC]; None if not logged.
-    q_link : (N, n) [rad; m] behind elastic gears, `q` being that of the motors; None if not logged.
-    q_cmd, dq_cmd : commanded position and velocity (N, n) [rad, rad/s; m, m/s]; None if not logged.
+    q_link : (N, n) [rad; m] behind elastic gears, `q` being that of the motors;
+        None if not logged.
+    q_cmd, dq_cmd : commanded position and velocity (N, n) [rad, rad/s; m, m/s];
+        None if not logged.
     path, sha256 : file of the log, and its hash.
     dropped : number of rows left out, by `LogFormat.missing`.
     robot : None if the log was not read from a file.
-    is_checked : True if the arrays fulfil these rules already, as those of readers do.
+    is_checked : True if the arrays fulfil these rules already, as those of
+        readers do.
     """
 
     name: str = "log"
@@ -170,9 +175,10 @@ class Log:
     def read(cls, path: PathArg, robot: RobotLike) -> "Log":
         """Read and check a log as the robot file describes it.
 
-        The suffix gives the format: CSV, maybe packed (``.gz``, ``.bz2``, ``.xz``), Parquet,
-        Feather, Excel, HDF5, NumPy, MATLAB or a ROS bag (a folder, ``.db3``, ``.mcap``, ``.bag``).
-        Messages count rows from 1, with the header of a CSV.
+        The suffix gives the format: CSV, maybe packed (``.gz``, ``.bz2``,
+        ``.xz``), Parquet, Feather, Excel, HDF5, NumPy, MATLAB or a ROS bag (a
+        folder, ``.db3``, ``.mcap``, ``.bag``). Messages count rows from 1, with
+        the header of a CSV.
 
         Parameters
         ----------
@@ -182,9 +188,10 @@ class Log:
         Raises
         ------
         LogError
-            If the file cannot be read, a column or topic is missing, the number of joints is wrong,
-            a cell is not a finite number, time does not increase or has another rate than the robot
-            file, or currents lack torque constants.
+            If the file cannot be read, a column or topic is missing, the number
+            of joints is wrong, a cell is not a finite number, time does not
+            increase or has another rate than the robot file, or currents lack
+            torque constants.
         RobotError
             If a list of the robot file has not one entry per joint.
         """
@@ -230,8 +237,8 @@ class Log:
     def write(self, path: PathArg) -> None:
         """Write the log as CSV or, with suffix ``.parquet``, as Parquet, with all digits.
 
-        The columns ``t, q1.., dq1.., tau1.., temperature1..`` are the defaults of a robot file.
-        Raises ArtifactError if the file cannot be written.
+        The columns ``t, q1.., dq1.., tau1.., temperature1..`` are the defaults
+        of a robot file. Raises ArtifactError if the file cannot be written.
         """
         with written_whole(to_path(path, "a log")) as temporary:
             write_table(temporary, self._columns)

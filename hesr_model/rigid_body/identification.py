@@ -46,24 +46,32 @@ class RigidBody:
     Attributes
     ----------
     robot, joints : names.
-    names, parameters : standard parameters and rotor inertias (P,), zero outside `base` except in
-        physically consistent bodies, bodies with a payload, and known parameters.
-    base : indices of the base parameters, to which all others reduce linearly (eq. 6).
-    standard_errors : of the base parameters (len(base),), the contribution of the others included.
-    condition : condition number of the weighted observation matrix, columns divided by their size
-        over random states.
-    ridge : pull towards zero on that scale over the largest singular value, if needed.
-    friction : (n, 3) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m] of the stacked fit at
-        friction coordinates (`robots.transmission`); not the friction model.
+    names, parameters : standard parameters and rotor inertias (P,), zero
+        outside `base` except in physically consistent bodies, bodies with a
+        payload, and known parameters.
+    base : indices of the base parameters, to which all others reduce linearly
+        (eq. 6).
+    standard_errors : of the base parameters (len(base),), the contribution of
+        the others included.
+    condition : condition number of the weighted observation matrix, columns
+        divided by their size over random states.
+    ridge : pull towards zero on that scale over the largest singular value, if
+        needed.
+    friction : (n, 3) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m] of the
+        stacked fit at friction coordinates (`robots.transmission`); not the
+        friction model.
     rmse : (n,) [N.m] residual at friction coordinates, over the rows used.
     rows : number of samples offered to the fit.
     logs : names of the logs.
-    kind : whether masses are those of the model file, physically possible, or free.
-    left_out_rmse : (n,) [N.m] residual at friction coordinates over rows that were left out in
-        turn (`rigid_body.choice`); empty if unknown.
-    held : parameters that the motion does not determine, which have the model file's values.
+    kind : whether masses are those of the model file, physically possible, or
+        free.
+    left_out_rmse : (n,) [N.m] residual at friction coordinates over rows that
+        were left out in turn (`rigid_body.choice`); empty if unknown.
+    held : parameters that the motion does not determine, which have the model
+        file's values.
     sentence : how the kind was chosen, in words.
-    covariance : covariance of the base parameters; None in results of earlier versions.
+    covariance : covariance of the base parameters; None in results of earlier
+        versions.
     gears : elastic gears, of robots with link encoders.
     provenance : JSON data: input files with hashes, seed and versions.
     """
@@ -99,7 +107,8 @@ class RigidBody:
     def read(cls, path: PathArg) -> Self:
         """Read a rigid body that `write` or `hesr identify` has written.
 
-        Raises ArtifactError if the file cannot be read, or a key or value is missing or invalid.
+        Raises ArtifactError if the file cannot be read, or a key or value is
+        missing or invalid.
         """
         path = to_path(path, "a rigid body")
         return from_json(cls, read_json(path, RIGID_BODY_FORMAT), path, "a rigid body")
@@ -162,8 +171,8 @@ class RigidBody:
     def torque_spread(self, model: Robot, motion: Motion) -> Array | None:
         """Return torque errors over a motion, (N, n, r) [N.m]; None if the covariance is unknown.
 
-        They are for one standard deviation of each of the r independent parameter errors that
-        matter.
+        They are for one standard deviation of each of the r independent
+        parameter errors that matter.
         """
         if self.covariance is None:
             return None

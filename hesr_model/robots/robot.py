@@ -25,19 +25,23 @@ _ROWS_AT_ONCE = 4096
 class Robot:
     """A robot: its joints, the format of its logs, and its rigid-body dynamics (eq. 5).
 
-    tau = Y(q, dq, ddq) pi, with ten parameters per link (`LINK_PARAMETERS`) and, if described, a
-    rotor inertia per joint, whose column is ddq of the joint or of its coupled motor, and springs.
+    tau = Y(q, dq, ddq) pi, with ten parameters per link (`LINK_PARAMETERS`)
+    and, if described, a rotor inertia per joint, whose column is ddq of the
+    joint or of its coupled motor, and springs.
 
     Parameters
     ----------
-    source : path of a robot file (TOML), of a URDF or of an MJCF (``.xml``), or a description.
+    source : path of a robot file (TOML), of a URDF or of an MJCF (``.xml``), or
+        a description.
 
     Raises
     ------
     ConfigError
-        If a robot file cannot be used, or `source` is neither a robot nor a path.
+        If a robot file cannot be used, or `source` is neither a robot nor a
+        path.
     RobotError
-        If the model file, one of its joints, or the kind of a log unit cannot be used.
+        If the model file, one of its joints, or the kind of a log unit cannot
+        be used.
     """
 
     def __init__(self, source: "RobotLike") -> None:
@@ -233,7 +237,8 @@ class Robot:
 
         Parameters
         ----------
-        q, dq, ddq : (N, n) [rad, rad/s, rad/s2; m, m/s, m/s2 for prismatic joints].
+        q, dq, ddq : (N, n) [rad, rad/s, rad/s2; m, m/s, m/s2 for prismatic
+            joints].
         rotors : (N, n) accelerations of the rotors, by default `ddq`.
         """
         states = self._configurations(q)
@@ -263,7 +268,8 @@ class Robot:
         Parameters
         ----------
         parameters : (P,), or (N, P) with parameters for each row.
-        q, dq, ddq, rotors : (N, n) as in `regressor`; dq = ddq = 0 gives the gravity torque.
+        q, dq, ddq, rotors : (N, n) as in `regressor`; dq = ddq = 0 gives the
+            gravity torque.
         """
         parts = [np.empty((0, self.n))]
         for start in range(0, len(q), _ROWS_AT_ONCE):

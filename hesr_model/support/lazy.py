@@ -24,10 +24,18 @@ def lazy(module: str, file: str) -> Names:
         if name not in modules_by_name:
             raise AttributeError(f"module '{module}' has no attribute '{name}'")
         value = getattr(import_module(modules_by_name[name]), name)
+        _show_signatures(value)
         setattr(sys.modules[module], name, value)
         return value
 
     return find, lambda: sorted(modules_by_name)
+
+
+def _show_signatures(value: object) -> None:
+    from hesr_model.support.signatures import show_signatures  # needs NumPy
+
+    if callable(value):
+        show_signatures(value)
 
 
 _THRESHOLDS = (100_000, 20, 20)

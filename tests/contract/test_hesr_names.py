@@ -4,9 +4,11 @@ import ast
 import inspect
 import math
 import pydoc
+import re
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
@@ -15,6 +17,7 @@ import pytest
 import hesr
 from hesr.cli.app import app, find_workflow, help_sections
 from hesr.cli.derive import Docstring, Function
+from hesr_model.support import signatures as shown_signatures
 from hesr_model.support.lazy import lazy
 
 
@@ -99,7 +102,8 @@ def test_every_function_has_a_full_docstring_used_as_help() -> None:
             shown = " ".join(command.get_help(click.Context(command, info_name=verb)).split())
             texts = told.parameters | descriptions_of_options(function)
             for name in texts.keys() - {"progress"}:
-                assert " ".join(texts[name].split())[:40] in shown, (verb, name)
+                text = " ".join(texts[name].split())[:40].removesuffix(".")
+                assert text in shown, (verb, name)
 
 
 def test_help_fits_a_screen_and_names_everything() -> None:
@@ -107,6 +111,58 @@ def test_help_fits_a_screen_and_names_everything() -> None:
     assert len(lines) <= 60
     assert max(map(len, lines)) <= 110
     assert [name for name in dir(hesr) if name not in str(hesr.__doc__)] == []
+
+
+FUNCTIONS = [name for name in dir(hesr) if inspect.isfunction(getattr(hesr, name))]
+SYMBOLS = ("absolute", "sgn")  # classes of SymPy, with its methods
+CLASSES = [
+    name for name in dir(hesr) if inspect.isclass(getattr(hesr, name)) and name not in SYMBOLS
+]
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_help_of_functions_fits_a_terminal(name: str) -> None:
+    """The first line of `help` names the module."""
+    lines = pydoc.plain(pydoc.render_doc(getattr(hesr, name))).splitlines()[1:]
+    assert [line for line in lines if len(line) > 80] == []
+
+
+def is_python(member: object) -> bool:
+    return inspect.isfunction(member) or inspect.ismethod(member)
+
+
+def signatures(name: str) -> Iterator[str]:
+    """Yield the signature of a function, or of a class and its methods, as `help` shows them."""
+    value = getattr(hesr, name)
+    yield str(inspect.signature(value))
+    members = inspect.getmembers(value, is_python) if inspect.isclass(value) else ()
+    for member, function in members:
+        if not member.startswith("_") and str(function.__module__).startswith(PACKAGES):
+            yield str(inspect.signature(function))
+
+
+PACKAGES = ("hesr", "hesr_model", "cosim", "fmu_src")
+# Of types that a reader cannot import from `hesr`, of objects by address, and of quoted types.
+PRIVATE = re.compile(
+    r"\b_|Annotated|Validator|<|\b(numpy|collections|hesr_model|cosim|fmu_src|typing)\.|: '|-> '"
+)
+
+
+@pytest.mark.parametrize("name", [*FUNCTIONS, *CLASSES])
+def test_signatures_show_no_private_object(name: str) -> None:
+    shown = list(signatures(name))
+    assert [text for text in shown if PRIVATE.search(text)] == []
+    aliases = shown_signatures._WORDS.keys()
+    words = {word for text in shown for word in re.findall(r"\w+", text)}
+    assert words.isdisjoint(aliases)
+
+
+def test_notebooks_show_the_same_signatures() -> None:
+    module = pytest.importorskip("IPython.core.oinspect")
+    inspector = module.Inspector(theme_name="nocolor")
+    shown = inspector.info(hesr.fit, oname="hesr.fit")["definition"]
+    assert "logs: Log | path | Iterable[Log | path]" in shown
+    assert not PRIVATE.search(shown)
 
 
 def test_the_import_loads_no_modules() -> None:

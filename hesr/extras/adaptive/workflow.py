@@ -26,7 +26,8 @@ def monitor(
 ) -> Answer:
     r"""Find changes of friction over days, and deviating robots.
 
-    An interrupted fleet continues where it stopped, and processes only new logs.
+    An interrupted fleet continues where it stopped, and processes only new
+    logs.
 
     Parameters
     ----------
@@ -37,20 +38,21 @@ def monitor(
     robot : robot or path, optional
         Robot file (.toml), URDF or MJCF; by default the robot of the logs.
     rigid_body : body or path, optional
-        Result of 'hesr identify'; by default identified from the logs.
+        Result of `identify`; by default identified from the logs.
     output : path, optional
         Page to write; for a fleet, the folder (default: results/NAME).
     workers : int, optional
         Processes of a fleet; by default one per core.
     accept : str or sequence of str, optional
-        Names of checks whose errors only warn; repeatable.
+        Names of checks whose errors only warn.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 
     Returns
     -------
     Monitoring or Fleet
-        Alarms with their likely causes and the state of each joint; or deviations and changes.
+        Alarms with their likely causes and the state of each joint; or
+        deviations and changes.
 
     Raises
     ------
@@ -61,8 +63,8 @@ def monitor(
     --------
     On the command line::
 
-        $ hesr monitor monday.csv tuesday.csv --law law.json --robot robot.toml \
-          --rigid-body rigid_body.json -o page.html
+        $ hesr monitor monday.csv tuesday.csv --law law.json \
+          --robot robot.toml --rigid-body rigid_body.json -o page.html
         $ hesr monitor fleet.toml -o results/fleet
     """
     from dataclasses import replace

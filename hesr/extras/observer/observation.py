@@ -334,7 +334,7 @@ def observe(
     bandwidth: float = BANDWIDTH,
     accept: Names = (),
 ) -> list[ObservedLog]:
-    """Compute the external torque over logs, with the numbers of the observer's FMU.
+    """Compute the external torque over logs, as the observer's FMU does.
 
     Parameters
     ----------
@@ -345,10 +345,10 @@ def observe(
     robot : robot or path, optional
         Robot file (.toml), URDF or MJCF; by default the robot of the logs.
     rigid_body : body or path, optional
-        Result of 'hesr identify'; by default the parameters of the model file.
+        Result of `identify`; by default the parameters of the model file.
     calibration : log, path or sequence of these, optional
-        Logs without contact, not of the fit, or a folder of 'hesr run' for its test logs; by
-        default the bands of the law give the limits.
+        Logs without contact, not of the fit, or a folder of `run` for its test
+        logs; by default the bands of the law give the limits.
     bandwidth : float, Hz
         Cut-off of the external torque.
     accept : str or sequence of str, optional
@@ -357,7 +357,8 @@ def observe(
     Returns
     -------
     list of ObservedLog
-        `outputs` of each part of a log, such as tau_ext (N, n) [N.m; N], and `contact` (N,).
+        `outputs` of each part of a log, such as tau_ext (N, n) [N.m; N], and
+        `contact` (N,).
 
     Raises
     ------
@@ -367,8 +368,8 @@ def observe(
     Examples
     --------
     >>> import hesr
-    >>> [observed_log] = hesr.observe("pushed.csv", law="law.json", robot="robot.toml",
-    ...                               rigid_body="rigid_body.json", calibration=["free.csv"])
+    >>> robot = {"robot": "robot.toml", "rigid_body": "rigid_body.json"}
+    >>> [observed_log] = hesr.observe("pushed.csv", law="law.json", **robot)
     """
     sources = arguments.list_logs("logs", logs)
     calibration_sources = arguments.list_logs("calibration", calibration)
