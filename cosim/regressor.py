@@ -2,10 +2,9 @@
 
 import inspect
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from os import PathLike
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from cosim.workflow.arguments import (
 from hesr_model.errors import FitError, TableError
 from hesr_model.fitting.estimator import Estimator, estimator, to_law_name
 from hesr_model.fitting.fit import fit
+from hesr_model.friction.expressions import CoefficientTable, LawExpressions
 from hesr_model.friction.log_friction import mean_determination
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.table import MotionTable, read_motion, read_numbers, read_torques
@@ -27,21 +27,33 @@ from hesr_model.inference.choice import CHOOSE
 from hesr_model.logs.robot_log import Log, collect_parts
 from hesr_model.logs.signals import smooth_logs
 from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.rigid_body.residual import FrictionRecord, friction_records
-from hesr_model.robots.robot import Robot, RobotLike, to_robot
-from hesr_model.support import plugins
+from hesr_model.rigid_body.residual import friction_records
+from hesr_model.robots.robot import Robot, RobotLike
 from hesr_model.support.arrays import Array
-from hesr_model.support.files import to_path
+from hesr_model.support.files import PathArg
 
-Record = Sequence[FrictionRecord]  # friction of all joints in one log
+if TYPE_CHECKING:
+    from hesr_model.audit.certificate import Certificate
+
 _TARGETS = ("friction", "torque")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Prediction:
+    """Measured and predicted torque (N, n) [N.m] over t (N,) [s] of a log or table."""
+
+    t: Array
+    tau: Array  # that predicted if the measured one is unknown
+    tau_predicted: Array
+    is_table: bool = False
 
 
 class FrictionRegressor:
     """Friction law as an estimator, fitted to logs or to tables in memory.
 
     Rows of a table are samples of one motion in order of time: laws have
-    memory, so a prediction depends on the rows before it.
+    memory, so a prediction depends on the rows before it. `equation`, `sympy`,
+    `latex`, `coefficients`, `passivity` and `to_fmu` are those of `model_`.
 
     Parameters
     ----------
@@ -68,7 +80,7 @@ class FrictionRegressor:
         law: str | type[Estimator] = "lugre",
         *,
         robot: RobotLike | None = None,
-        rigid_body: RigidBody | str | PathLike[str] | None = None,
+        rigid_body: RigidBody | PathArg | None = None,
         target: str = "friction",
         seed: int = 0,
         options: Mapping[str, Any] | None = None,
@@ -143,7 +155,8 @@ class FrictionRegressor:
             if self.law == CHOOSE:
                 self.model_ = replace(self._choose(logs, robot), rigid_body=self.rigid_body_)
                 return self
-            records = self._records(collect_parts(logs))
+            parts = collect_parts(logs)
+            records = [friction_records(part, robot, self.rigid_body_) for part in parts]
         else:
             if self.law == CHOOSE:
                 raise TableError(f"the law '{CHOOSE}' needs logs; name a law to fit a table.")
@@ -197,50 +210,25 @@ class FrictionRegressor:
         SimulationError
             If the log has other joints.
         """
-        model = self._require_fitted()
-        logs = self._logs(X)
-        if logs is not None:
-            if len(logs) != 1:
-                raise TableError(f"predict() was given {len(logs)} logs; expected one.")
-            (log_records,) = self._records(logs)
-            return self._convert_to_target(model.predict(log_records), log_records)
-        table = self._table(X)
-        torque = model.predict(t=table.t, dq=table.dq, q=table.q, tau_load=table.load)
-        torque += table.load if self.target == "torque" else 0.0
-        return torque[:, 0] if self._flat else torque
+        prediction = self._predict_one(X)
+        torque = prediction.tau_predicted
+        # The shape of the y of `fit`, as scikit-learn expects; after logs there was none.
+        return torque[:, 0] if prediction.is_table and getattr(self, "_flat", False) else torque
 
     def score(self, X: Any, y: Any = None) -> float:
-        """Return the coefficient of determination R2, averaged over joints; X and y as in `fit`.
+        """Return the coefficient of determination R2, averaged over joints.
 
-        Logs are predicted separately; rows in their gaps do not count.
+        X and y are as in `fit`. Logs are predicted separately; rows in their
+        gaps do not count.
         """
-        model = self._require_fitted()
         logs = self._logs(X)
-        if logs is not None:
-            records = self._records(collect_parts(logs))
-            tau_predicted = np.vstack(
-                [
-                    self._convert_to_target(model.predict(log_records), log_records)
-                    for log_records in records
-                ]
-            )
-            tau = np.vstack(
-                [
-                    self._convert_to_target(
-                        np.column_stack([record.tau for record in log_records]), log_records
-                    )
-                    for log_records in records
-                ]
-            )
+        if logs is None:
+            predictions = [self._predict_table(X, y)]
         else:
-            tau_predicted = self.predict(X)
-            tau_predicted = tau_predicted.reshape(len(tau_predicted), -1)
-            tau = read_torques(y, len(tau_predicted))
+            predictions = [self._predict_log(part) for part in collect_parts(logs)]
+        tau = np.vstack([prediction.tau for prediction in predictions])
+        tau_predicted = np.vstack([prediction.tau_predicted for prediction in predictions])
         return mean_determination(tau, tau_predicted)
-
-    def equation(self) -> str:
-        """Return the fitted law as text, joint by joint."""
-        return self._require_fitted().equation()
 
     def plot(self, X: Any, y: Any = None) -> Any:
         """Draw measured and predicted torque of one log or table over time.
@@ -254,40 +242,43 @@ class FrictionRegressor:
         from cosim.workflow.objects import plot_torques
 
         model = self._require_fitted()
-        tau_predicted = self.predict(X)
-        tau_predicted = tau_predicted.reshape(len(tau_predicted), -1)
-        logs = self._logs(X)
-        if logs is not None:
-            (log_records,) = self._records(logs)
-            t = log_records[0].t
-            tau = np.column_stack([record.tau for record in log_records])
-            tau_measured = self._convert_to_target(tau, log_records)
-        else:
-            t = self._table(X).t
-            tau_measured = read_torques(y, len(tau_predicted))
-        signals = {"measured": tau_measured, title(model.law): tau_predicted}
-        return plot_torques(model.joints, model.slides, t, signals, self.target)
+        prediction = self._predict_one(X, y)
+        signals = {"measured": prediction.tau, title(model.law): prediction.tau_predicted}
+        return plot_torques(model.joints, model.slides, prediction.t, signals, self.target)
 
-    def to_fmu(self, path: str | PathLike[str], *, platforms: Names | None = None) -> Path:
+    def equation(self) -> str:
+        """Return the fitted law as text, joint by joint."""
+        return self._require_fitted().equation()
+
+    def sympy(self) -> dict[str, LawExpressions]:
+        """Return the SymPy expressions of each joint; see `FrictionModel`."""
+        return self._require_fitted().sympy()
+
+    def latex(self) -> dict[str, str]:
+        """Return the equations of each joint in LaTeX."""
+        return self._require_fitted().latex()
+
+    def coefficients(self) -> CoefficientTable:
+        """Return the coefficients with units, errors and bounds that were hit."""
+        return self._require_fitted().coefficients()
+
+    def passivity(self) -> "dict[str, Certificate]":
+        """Return for each joint whether its law is passive."""
+        return self._require_fitted().passivity()
+
+    def to_fmu(self, path: PathArg, *, platforms: Names | None = None) -> Path:
         """Write the fitted law as an FMU.
 
         The default platforms are linux64, win64 and that of this machine.
         """
-        from fmu_src import export_fmu
-        from fmu_src.export.toolchain import DEFAULT_PLATFORMS
+        names = None if platforms is None else list_names("platforms", platforms)
+        return self._require_fitted().to_fmu(path, platform=names)
 
-        platform_names: Sequence[str] = DEFAULT_PLATFORMS
-        if platforms is not None:
-            platform_names = list_names("platforms", platforms)
-        model = self._require_fitted()
-        fmu = to_path(path, "'path'")
-        return export_fmu(model, fmu, platforms=platform_names)
+    def to_torch(self, path: PathArg) -> Path:
+        """Write the fitted law as a module of PyTorch, see `hesr.export`."""
+        from cosim.workflow.export import export
 
-    def to_torch(self, path: str | PathLike[str]) -> Path:
-        """Write the fitted law as a module of PyTorch, in the export format `torch`."""
-        file = to_path(path, "'path'")
-        plugins.find("hesr.exports", "torch").write(self._require_fitted(), file)
-        return file
+        return export(self._require_fitted(), path, format="torch")
 
     def __sklearn_is_fitted__(self) -> bool:
         return hasattr(self, "model_")
@@ -301,6 +292,36 @@ class FrictionRegressor:
             regressor_tags=RegressorTags(poor_score=True),  # scores of shuffled rows mean nothing
             input_tags=InputTags(),
         )
+
+    def _predict_one(self, X: Any, y: Any = None) -> _Prediction:
+        """Return the prediction of one log or of a table; y may be unknown."""
+        logs = self._logs(X)
+        if logs is None:
+            return self._predict_table(X, y)
+        if len(logs) != 1:
+            raise TableError(f"'X' contains {len(logs)} logs; expected one.")
+        return self._predict_log(logs[0])
+
+    def _predict_log(self, log: Log) -> _Prediction:
+        model = self._require_fitted()
+        if not hasattr(self, "robot_"):
+            raise TableError("a law fitted to a table needs a table.")
+        records = model.records(log, robot=self.robot_)
+        tau = np.column_stack([record.tau for record in records])
+        tau_predicted = model.predict(records)
+        if self.target == "torque":
+            load = np.column_stack([record.of_bodies for record in records])
+            tau, tau_predicted = tau + load, tau_predicted + load
+        return _Prediction(t=records[0].t, tau=tau, tau_predicted=tau_predicted)
+
+    def _predict_table(self, X: Any, y: Any) -> _Prediction:
+        model = self._require_fitted()
+        table = self._table(X)
+        tau_predicted = model.predict(t=table.t, dq=table.dq, q=table.q, tau_load=table.load)
+        if self.target == "torque":
+            tau_predicted = tau_predicted + table.load
+        tau = tau_predicted if y is None else read_torques(y, len(tau_predicted))
+        return _Prediction(t=table.t, tau=tau, tau_predicted=tau_predicted, is_table=True)
 
     def _motion(self, values: Array, names: Sequence[str]) -> MotionTable:
         return read_motion(values, names)
@@ -328,17 +349,6 @@ class FrictionRegressor:
             return None
         robot = getattr(self, "robot_", None) if self.robot is None else self.robot
         return read_logs(sources, robot)
-
-    def _records(self, logs: Sequence[Log]) -> list[Record]:
-        if not hasattr(self, "robot_"):
-            raise TableError("a law fitted to a table needs a table.")
-        robot = to_robot(self.robot_)
-        return [friction_records(log, robot, self.rigid_body_) for log in logs]
-
-    def _convert_to_target(self, friction: Array, log_records: Record) -> Array:
-        if self.target == "friction":
-            return friction
-        return friction + np.column_stack([record.of_bodies for record in log_records])
 
     def _require_fitted(self) -> FrictionModel:
         if hasattr(self, "model_"):

@@ -33,17 +33,19 @@ class ExportOption:
     Attributes
     ----------
     name : keyword in Python; on the command line with hyphens.
-    type : type of the value. Paths become `Path`; robots and rigid bodies are read. Logs are
-        objects or paths.
+    type : type of the value. Paths become `Path`; robots and rigid bodies are
+        read. Logs are objects or paths.
     help : sentence for the help.
     unit : unit of the value.
     choices : allowed values.
     per_joint : whether there is one number per joint; a single one serves all.
-    repeatable : whether several values of type float, str, path or log may be given.
-    required_as : description in the refusal of a request without it; empty for an optional one.
+    repeatable : whether several values of type float, str, path or log may be
+        given.
+    required_as : description in the refusal of a request without it; empty for
+        an optional one.
     requires : another option without which it must not be given.
-    cached : whether model and value alone determine the output, and no other file is written, so
-        that a copy from the cache serves as well.
+    cached : whether model and value alone determine the output, and no other
+        file is written, so that a copy from the cache serves as well.
     """
 
     name: str
@@ -117,13 +119,17 @@ class Exporter:
     ----------
     title : what it writes, for the help.
     suffixes : of the output, for the help; `write` refuses others.
-    write : called as write(source, output, **options) after all options are accepted; may return
-        remarks for the user. With `platforms` it also takes `platforms` and `progress`.
+    write : called as write(source, output, **options) after all options are
+        accepted; may return remarks for the user. With `platforms` it also
+        takes `platforms` and `progress`.
     options : its options.
-    prepare : returns the keywords of `write` for a request, by default its options. For a file in
-        the cache, an object among them has the JSON data that determine it as its `key`.
-    platforms : none, or what it builds by default: the common platforms or only the host's.
-    platform_refusal : why it takes no platforms, if not for the other formats' sake.
+    prepare : returns the keywords of `write` for a request, by default its
+        options. For a file in the cache, an object among them has the JSON data
+        that determine it as its `key`.
+    platforms : none, or what it builds by default: the common platforms or only
+        the host's.
+    platform_refusal : why it takes no platforms, if not for the other formats'
+        sake.
     """
 
     title: str

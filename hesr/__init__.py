@@ -15,6 +15,9 @@ Commands  new, inspect, excite, identify, fit, test, export, check, simulate, ru
           laws, the laws that `fit` knows; observe, the external torque over logs
 Own laws  OneForm, LawForm, Coefficient, SearchSpace, Relaxation, Stop, register, Estimator,
           FrictionLaw; DQ, Q, TAU_LOAD, the inputs; sgn, absolute, sign and magnitude
+Plug-ins  FileFormat, LogSamples, RobotDescription, LogError (log formats); Exporter, ExportOption,
+          ExportError (export formats); Component, Quantity, Parameter, Equation, Requirement,
+          previous, DT, block, write_fmu (components as FMUs)
 
 A path is text or a path object. A parameter of several items takes one item, or any iterable. Logs,
 bodies, laws, FMUs and results show themselves as tables in a notebook; logs and signals have

@@ -43,6 +43,12 @@ class NewProject:
     doubts: tuple[Finding, ...] = ()
     bench: str = ""  # kind of a bench, or "twin", whose folder has no logs and no study
     source: str = ""  # public repository of its logs
+    is_sample: bool = False  # whether the robot is the sample
+
+
+def sample_model() -> Path:
+    """Return the model file of the sample robot."""
+    return models_folder() / "uf850" / "uf850.xml"
 
 
 def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:

@@ -122,8 +122,11 @@ def excite(
           -o next.script
 
     >>> import hesr
-    >>> hesr.excite("robot.toml", output="motion.csv").forward.name
-    'motion.csv'
+    >>> twin = hesr.new("my_twin", twin=True).folder
+    >>> limits = twin / "motion.toml"  # also floor and walls
+    >>> robot = twin / "robot.toml"
+    >>> hesr.excite(robot, settings=limits, purpose="friction", time=30.0).files
+    [PosixPath('motion.csv'), PosixPath('motion.html')]
     """
     require_choice("purpose", purpose, get_args(Purpose))
     require_text("format", format)

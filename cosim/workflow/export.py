@@ -99,8 +99,10 @@ def export(
         $ hesr export closed_loop.toml -o loop.ssp
 
     >>> import hesr
-    >>> hesr.export("uf850-table1", "Table1.h", format="c").name
-    'Table1.h'
+    >>> hesr.export("law.json", "Friction.fmu", platform="linux64").name
+    'Friction.fmu'
+    >>> hesr.export("law.json", "friction.h", format="c").name
+    'friction.h'
     """
     output = to_path(output, "'output'")
     platforms = None if platform is None else list_names("platform", platform)

@@ -130,10 +130,11 @@ def fit(
           --prior law.json -o adapted.json
 
     >>> import hesr
-    >>> body = hesr.identify("excitation.csv", robot="robot.toml")
-    >>> log = hesr.Log.read("sweep.csv", "robot.toml")
-    >>> hesr.fit(log, law="stribeck", rigid_body=body)
-    FrictionModel('stribeck' of 'arm', 3 joints)
+    >>> log_path = "my_arm/logs/sample_training.csv"
+    >>> log = hesr.Log.read(log_path, "my_arm/robot.toml")
+    >>> body = "rigid_body.json"
+    >>> hesr.fit(log, law="lugre", rigid_body=body, output="law.json")
+    FrictionModel('lugre' of 'my_arm', 3 joints)
     """
     from cosim.study.law_choice import fit_chosen_laws
     from cosim.study.scores import transpose_records

@@ -104,8 +104,10 @@ def identify(
         $ hesr identify excitation.csv --robot robot.toml -o rigid_body.json
 
     >>> import hesr
-    >>> hesr.identify("excitation.csv", robot="robot.toml")
-    RigidBody('arm', 3 joints, 16 base parameters, condition number ...)
+    >>> log_path = "my_arm/logs/sample_training.csv"
+    >>> log = hesr.Log.read(log_path, "my_arm/robot.toml")
+    >>> hesr.identify(log, body="physical", output="rigid_body.json")
+    RigidBody('my_arm', 3 joints, 16 base parameters, condition number 24)
     """
     from hesr_model.findings import log_findings
     from hesr_model.health.examine import check_body

@@ -200,7 +200,8 @@ def inspect(
           --mass-error 0.2
 
     >>> import hesr
-    >>> hesr.inspect("sweep.csv", robot="robot.toml").passed
+    >>> log_path = "my_arm/logs/sample_training.csv"
+    >>> hesr.inspect(log_path, robot="my_arm/robot.toml").passed
     True
     """
     from hesr_model.health.proposal import ProposalError, apply_constants, inspect_logs

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.workflow.answer import Answer, Written
@@ -49,7 +50,7 @@ def new(
     folder : path
         New or empty folder.
     robot : path, optional
-        URDF or MJCF (.xml) of the robot.
+        URDF or MJCF (.xml) of the robot; default: a sample, the UF850.
     joints : str or sequence of str, optional
         Joints that move in the logs; default: the longest chain, without
         fingers; 'motor' or 'axis' of a bench.
@@ -103,11 +104,11 @@ def new(
         $ hesr new ur10e --public dynamic_calibration
 
     >>> import hesr
-    >>> hesr.new("my_arm", "arm.xml").joints
-    ('j1', 'j2', 'j3')
+    >>> hesr.new("my_motor", bench="rotary", joints="motor_1, motor_2").joints
+    ('motor_1', 'motor_2')
     """
     from cosim.study.public_logs import start_public
-    from cosim.study.starter import Bench, start, start_bench, start_twin
+    from cosim.study.starter import Bench, sample_model, start, start_bench, start_twin
 
     project_folder = to_path(folder, "'folder'")
     names = tuple(list_names("joints", joints, commas=True))
@@ -127,10 +128,10 @@ def new(
         return start_public(project_folder, to_path(public, "'public'"))
     if bench is None:
         _refuse_bench_options(numbers, log, source, gravity=gravity)
-        if robot is None:
-            raise ArgumentError("give 'robot', a URDF or MJCF, or 'bench' without a model file.")
+        model_path = sample_model() if robot is None else to_path(robot, "'robot'")
         progress("making sample logs", 0, 1)
-        return start(project_folder, to_path(robot, "'robot'"), names)
+        project = start(project_folder, model_path, names)
+        return replace(project, is_sample=robot is None)
     _require_bench(robot, log, source)
     if not names:
         names = ("motor",) if bench == "rotary" else ("axis",)
@@ -189,6 +190,8 @@ def answer(project: NewProject, _: PathArg | None) -> Answer:
         lines = [f"{file}: a {project.bench} bench with the joints {joints}.", f"Next: {next_}"]
         return Written(format="hesr-project-1", lines=lines, data={"joints": list(project.joints)})
     lines = [f"{project.folder}: a study of the joints {joints}."]
+    if project.is_sample:
+        lines.append("Its robot is a sample, the UF850; --robot takes the URDF or MJCF of yours.")
     if project.followers:
         lines.append(f"Followers of other joints: {join_few(project.followers)}.")
     if project.locked:

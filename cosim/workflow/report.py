@@ -84,7 +84,7 @@ def report(
         $ hesr report results/uf850 --speed 0.5 -o arm.mp4
 
     >>> import hesr
-    >>> hesr.report("results/uf850").name
+    >>> hesr.report("results/my_arm").name
     'report.html'
     """
     from cosim.report.page import write_report

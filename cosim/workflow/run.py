@@ -285,7 +285,8 @@ def run(
         $ hesr run paper
 
     >>> import hesr
-    >>> hesr.run("study.toml", quick=True).outcome.fmus["lugre"].name
+    >>> result = hesr.run("my_arm/study.toml", quick=True)
+    >>> result.outcome.fmus["lugre"].name
     'lugre.fmu'
     """
     from cosim.study.results import read_findings

@@ -103,8 +103,10 @@ def simulate(
           -o result.csv
 
     >>> import hesr
-    >>> float(hesr.simulate("loop.toml").t[0])
-    0.0
+    >>> start = "dq[1]=0.3"
+    >>> signals = hesr.simulate("Friction.fmu", stop=0.1, step=0.002, set=start)
+    >>> signals.vector("tau").shape
+    (51, 3)
     """
     from cosim.systems.simulation import Master
     from cosim.systems.system import open_system

@@ -1,16 +1,19 @@
-"""The documentation as a site: pages, docstrings and notebooks that are executed.
+"""The documentation as a site: pages and notebooks that are executed.
 
 `make docs` builds it. It is strict: a link without an end or a cell that fails ends the build.
 """
 
 import importlib.metadata
+import shutil
+from pathlib import Path
+from typing import Any
 
 project = "HESR"
 author = "HESR contributors"
 release = version = importlib.metadata.version("hesr")
 copyright = author  # noqa: A001  # as Sphinx calls it
 
-extensions = ["sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc", "myst_nb"]
+extensions = ["myst_nb"]
 root_doc = "docs/index"
 include_patterns = [
     "docs/**",
@@ -41,9 +44,13 @@ nb_execution_timeout = 120  # [s] only stops a kernel that hangs
 nb_execution_in_temp = True
 nb_merge_streams = True
 
-autosummary_generate = True
-autodoc_member_order = "bysource"
-autodoc_typehints = "none"  # signatures have them
-numpydoc_class_members_toctree = False
-numpydoc_show_class_members = False
-numpydoc_attributes_as_param_list = False
+
+def setup(app: Any) -> None:
+    """Copy the page of the Python interface to the root of the site, for programs."""
+    app.connect("build-finished", write_llms_text)
+
+
+def write_llms_text(app: Any, exception: Exception | None) -> None:
+    """Write `llms.txt` after a build without errors."""
+    if exception is None:
+        shutil.copy(Path(app.srcdir, "docs", "api.md"), Path(app.outdir, "llms.txt"))

@@ -78,14 +78,16 @@ def block(
     text: str,
     step: float,
     example: Mapping[str, float],
-    notes: Sequence[str] = (),
+    notes: str | Iterable[str] = (),
 ) -> Content:
-    """Return the FMU of a component for a number of joints, with its preferred step [s].
+    """Return the FMU of a component, with its preferred step [s].
 
-    Signals are `name[1]`, .., shared parameters `name`; `example` has the parameters of the
-    reference results by their own name; `notes` are paragraphs of the FMU's page. Raises
-    ExportError for states, whose start values have no variables.
+    Signals are `name[1]`, .., shared parameters `name`; `example` has the
+    parameters of the reference results by their own name; `notes` are
+    paragraphs of the FMU's page. Raises ExportError for states, whose start
+    values have no variables.
     """
+    paragraphs = [notes] if isinstance(notes, str) else list(notes)
     if component.memory:
         raise ExportError(
             f"block '{name}': state '{component.memory[0].name}' has no start value; write what is "
@@ -108,7 +110,7 @@ def block(
         text=text,
         sources=equation_sources(equations_header(block_joints, interface, {})),
         step=step,
-        page=component_page(component, notes),
+        page=component_page(component, paragraphs),
         example={
             joint.names[parameter_name]: value
             for parameter_name, value in example.items()

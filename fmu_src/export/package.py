@@ -3,7 +3,7 @@
 import hashlib
 import re
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -21,7 +21,7 @@ from fmu_src.run.reference_results import Stimuli, result_files
 from fmu_src.run.trust import remember
 from hesr_model.errors import ExportError
 from hesr_model.support.cache import compute_once
-from hesr_model.support.files import scratch_folder, written_whole
+from hesr_model.support.files import PathArg, scratch_folder, to_path, written_whole
 from hesr_model.support.progress import Progress, report_progress, silent
 
 Version = Literal[2, 3]
@@ -109,18 +109,20 @@ def equation_sources(header: str) -> dict[str, str]:
 
 def write_fmu(
     content: Content,
-    path: Path,
+    path: PathArg,
     *,
-    platforms: Sequence[str] = HOST,
+    platforms: str | Iterable[str] = HOST,
     progress: Progress = silent,
     fmi: Version = 2,
 ) -> Path:
-    """Compile a component with the FMI glue, write both as an FMU and return its path.
+    """Compile a component, write it as an FMU and return its path.
 
-    Platforms are names of `toolchain.TARGETS`, or "all". Raises ExportError if a binary cannot be
-    built or the FMU is invalid.
+    Platforms are names of `toolchain.TARGETS`, or "all". Raises ExportError if
+    a binary cannot be built or the FMU is invalid.
     """
-    requested_targets = check_request(path, platforms)
+    path = to_path(path, "an FMU")
+    names = [platforms] if isinstance(platforms, str) else list(platforms)
+    requested_targets = check_request(path, names)
     missing = [
         t.folder
         for t in requested_targets

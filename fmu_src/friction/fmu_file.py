@@ -66,8 +66,6 @@ class Fmu:
     >>> fmu = hesr.Fmu("Friction.fmu")
     >>> fmu.variables["dq[1]"].unit
     'rad/s'
-    >>> fmu.model.robot
-    'uf850'
     >>> fmu.replay(t=[0.0, 0.01], dq=[[0.1, 0.0, 0.2], [0.1, 0.0, 0.2]]).shape
     (2, 3)
     >>> with fmu.instance() as friction:

@@ -96,11 +96,16 @@ class Component:
     Attributes
     ----------
     shared : parameters of all joints.
-    memory : states, in the order of their moves; they may also read previous values.
-    sample_time : name of the parameter with the sample period [s]; empty if every step is a sample.
-    reversing : inputs whose sign changes are solver events because a magnitude bends there.
-    settling : share of the steady state in the initial state, 0 to 1; the rest is `start`.
-    events : whether signs are held between events; else a sign change only ends a solver's step.
+    memory : states, in the order of their moves; they may also read previous
+        values.
+    sample_time : name of the parameter with the sample period [s]; empty if
+        every step is a sample.
+    reversing : inputs whose sign changes are solver events because a magnitude
+        bends there.
+    settling : share of the steady state in the initial state, 0 to 1; the rest
+        is `start`.
+    events : whether signs are held between events; else a sign change only ends
+        a solver's step.
     """
 
     inputs: tuple[Quantity, ...] = ()

@@ -1,6 +1,6 @@
 """Friction models: one frozen law for each joint of a robot."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import repeat
 from math import inf
@@ -180,7 +180,7 @@ class FrictionModel:
         return cls.from_json(read_json(path, MODEL_FORMAT), path)
 
     def write(self, path: PathArg) -> None:
-        """Write the model as JSON, with all digits; ArtifactError if the file cannot be written."""
+        """Write the model as JSON, or raise ArtifactError."""
         write_json(to_path(path, "a friction model"), self.to_json())
 
     @classmethod
@@ -261,7 +261,7 @@ class FrictionModel:
         return "\n".join(lines)
 
     def sympy(self) -> dict[str, LawExpressions]:
-        """Return the SymPy expressions of each joint, with named symbols, values and units."""
+        """Return the expressions of each joint, with values and units."""
         return {
             joint: law.to_expressions() for joint, law in zip(self.joints, self.laws, strict=True)
         }
@@ -278,7 +278,7 @@ class FrictionModel:
         return CoefficientTable(law=self.law, rows=tuple(rows), provenance=self.provenance)
 
     def passivity(self) -> "dict[str, Certificate]":
-        """Return for each joint whether its law is passive: proven, refuted or tested.
+        """Return for each joint whether its law is passive, or only tested.
 
         Raises SimulationError if the ranges of the training are unknown.
         """
@@ -294,7 +294,7 @@ class FrictionModel:
         }
 
     def select(self, joint: str) -> Self:
-        """Return the model of one joint; raises SimulationError if it is unknown or coupled."""
+        """Return the model of one joint; SimulationError if it has none."""
         if joint not in self.joints:
             raise SimulationError(
                 f"friction model '{self.law}' has no joint '{joint}'; it has "
@@ -309,15 +309,21 @@ class FrictionModel:
         changes: dict[str, Any] = {part: getattr(self, part)[j : j + 1] for part in parts}
         return replace(self, **changes)
 
-    def score(self, logs: LogSource | Sequence[LogSource], **source: Any) -> float:
-        """Return the coefficient of determination R2 of friction, averaged over joints.
+    def score(
+        self,
+        logs: LogSource | Iterable[LogSource],
+        *,
+        rigid_body: RigidBody | PathArg | None = None,
+        robot: RobotLike | None = None,
+    ) -> float:
+        """Return the coefficient of determination R2, averaged over joints.
 
         Logs are predicted separately; rows in their gaps do not count.
 
         Parameters
         ----------
         logs : one or several logs, or paths.
-        source : `rigid_body` and `robot`, as in `predict`.
+        rigid_body, robot : as in `predict`.
 
         Raises
         ------
@@ -328,8 +334,8 @@ class FrictionModel:
         tau = []
         tau_predicted = []
         for log in items:
-            for part in read_log(log, source.get("robot")).parts():
-                log_records = self.records(part, **source)
+            for part in read_log(log, robot).parts():
+                log_records = self.records(part, rigid_body=rigid_body, robot=robot)
                 tau.append(np.column_stack([record.tau for record in log_records]))
                 tau_predicted.append(self.predict(log_records))
         return mean_determination(np.vstack(tau), np.vstack(tau_predicted))
@@ -341,7 +347,7 @@ class FrictionModel:
         rigid_body: RigidBody | PathArg | None = None,
         robot: RobotLike | None = None,
     ) -> list[FrictionRecord]:
-        """Return the measured friction of the model's joints in a log; see `predict`."""
+        """Return the measured friction of each joint in a log; see `predict`."""
         body = self.rigid_body if rigid_body is None else rigid_body
         if body is None:
             raise SimulationError(
@@ -357,24 +363,30 @@ class FrictionModel:
         self._require_joints(log_records)
         return log_records
 
-    def plot(self, log: LogSource, **source: Any) -> Any:
+    def plot(
+        self,
+        log: LogSource,
+        *,
+        rigid_body: RigidBody | PathArg | None = None,
+        robot: RobotLike | None = None,
+    ) -> Any:
         """Draw measured and predicted friction of a log over time.
 
         Parameters
         ----------
         log : log, or its path.
-        source : `rigid_body` and `robot`, as in `predict`.
+        rigid_body, robot : as in `predict`.
 
         Returns
         -------
         ndarray of matplotlib axes
             One for each joint.
         """
-        records = self.records(log, **source)
+        records = self.records(log, rigid_body=rigid_body, robot=robot)
         return plugins.find("hesr.objects", "plot-friction")(self, records, self.predict(records))
 
     def to_fmu(self, path: PathArg, **options: Any) -> Path:
-        """Write the model as an FMU, with the options of `hesr.export`, such as `platform`.
+        """Write the model as an FMU, with options of `hesr.export`.
 
         The default platforms are linux64, win64 and that of this machine.
         """

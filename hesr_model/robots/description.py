@@ -65,15 +65,18 @@ def statements(provenance: Mapping[str, Any], *only: SourceKind) -> list[str]:
 class RobotDescription(Config):
     """A robot: its model file, its joints, and the format of its logs.
 
-    Joints run from base to tip, below the body `root` if it is given. `locked` gives positions [rad
-    or m] of fixed joints; other unlisted joints rest as in the model file, or follow others.
-    `gravity` [m/s2] is in the base frame, by default that of the model file; `mount` (roll, pitch,
-    yaw) [rad] turns the base. `known` lists exact parameters, such as ``j1.Izz``, and makes others
-    placeholders; by default all are approximate. `rotor_inertia` adds a rotor inertia per joint,
-    reflected through its gear. `springs` (linear) and `balancers` (constant and two harmonics of
-    the angle) list joints with further torques. `gear_ratio` (turns of the motor per turn of the
-    joint) is needed by laws with motor ripple; `transmission` if motors turn several joints or were
-    logged, it then sets the gear ratios. `sources` states how constants are known.
+    Joints run from base to tip, below the body `root` if it is given. `locked`
+    gives positions [rad or m] of fixed joints; other unlisted joints rest as in
+    the model file, or follow others. `gravity` [m/s2] is in the base frame, by
+    default that of the model file; `mount` (roll, pitch, yaw) [rad] turns the
+    base. `known` lists exact parameters, such as ``j1.Izz``, and makes others
+    placeholders; by default all are approximate. `rotor_inertia` adds a rotor
+    inertia per joint, reflected through its gear. `springs` (linear) and
+    `balancers` (constant and two harmonics of the angle) list joints with
+    further torques. `gear_ratio` (turns of the motor per turn of the joint) is
+    needed by laws with motor ripple; `transmission` if motors turn several
+    joints or were logged, it then sets the gear ratios. `sources` states how
+    constants are known.
     """
 
     name: PrintableName

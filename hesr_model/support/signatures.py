@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Mapping
 from os import PathLike
 from types import FunctionType, NoneType, UnionType
-from typing import Annotated, Any, ForwardRef, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, ForwardRef, Literal, Self, Union, get_args, get_origin
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,6 +34,8 @@ _WORDS |= {
     "Stages": "Callable",
     "Registered": "type[Estimator]",
     "Array": "ndarray",
+    "OptionType": "str",
+    "Platforms": "str",
     "Purpose": "str",
     "Method": "str",
     "Body": "str",
@@ -107,13 +109,30 @@ class _Parameter(inspect.Parameter):
             text += f": {describe_type(self.annotation)}"
         if self.default is self.empty:
             return text
-        # Data classes mark a default that is made for each object.
-        default = "..." if repr(self.default) == "<factory>" else repr(self.default)
-        return f"{text} = {default}"
+        # A function, or a default that a data class makes for each object, has no short text.
+        default = repr(self.default)
+        return f"{text} = {'...' if default.startswith('<') else default}"
 
 
 class _Signature(inspect.Signature):
     """Signature whose text has one parameter a line if it is long."""
+
+    @classmethod
+    def from_signature(cls, signature: inspect.Signature) -> Self:
+        """Return the same signature with texts for readers."""
+        parameters = [
+            _Parameter(
+                parameter.name,
+                parameter.kind,
+                default=parameter.default,
+                annotation=parameter.annotation,
+            )
+            for parameter in signature.parameters.values()
+        ]
+        result = signature.return_annotation
+        if result is not signature.empty:
+            result = _Words(describe_type(result))
+        return cls(parameters, return_annotation=result)
 
     def __str__(self) -> str:
         return self.format()
@@ -146,6 +165,8 @@ def show_signatures(value: object) -> None:
     if isinstance(value, FunctionType):
         _show_signature(value)
     elif isinstance(value, type):
+        if "__signature__" in vars(value):  # made by Pydantic
+            value.__signature__ = _Signature.from_signature(inspect.signature(value))  # type: ignore[attr-defined]
         for kind in value.__mro__:
             if kind.__module__.partition(".")[0] in ("hesr", "hesr_model", "cosim", "fmu_src"):
                 _show_methods(vars(kind))
@@ -161,19 +182,5 @@ def _show_methods(members: Mapping[str, object]) -> None:
 
 def _show_signature(function: FunctionType) -> None:
     signature = inspect.signature(function)
-    if isinstance(signature, _Signature):
-        return
-    parameters = [
-        _Parameter(
-            parameter.name,
-            parameter.kind,
-            default=parameter.default,
-            annotation=parameter.annotation,
-        )
-        for parameter in signature.parameters.values()
-    ]
-    result = signature.return_annotation
-    if result is not signature.empty:
-        result = _Words(describe_type(result))
-    shown = _Signature(parameters, return_annotation=result)
-    function.__signature__ = shown  # type: ignore[attr-defined]  # read by `inspect.signature`
+    if not isinstance(signature, _Signature):
+        function.__signature__ = _Signature.from_signature(signature)  # type: ignore[attr-defined]

@@ -126,7 +126,7 @@ def test_logs_are_fitted_predicted_drawn_and_exported(
     whole = hesr.FrictionRegressor("stribeck", target="torque", robot=arm).fit([str(file)])
     assert whole.score(str(file)) > regressor.score(log)
     for call, sentence in [
-        (lambda: regressor.predict([log, log]), r"predict\(\) was given 2 logs; expected one"),
+        (lambda: regressor.predict([log, log]), r"'X' contains 2 logs; expected one"),
         (lambda: regressor.fit(log, log.tau), "y was given with logs"),
     ]:
         with pytest.raises(TableError, match=sentence):

@@ -66,6 +66,11 @@ def monitor(
         $ hesr monitor monday.csv tuesday.csv --law law.json \
           --robot robot.toml --rigid-body rigid_body.json -o page.html
         $ hesr monitor fleet.toml -o results/fleet
+
+    >>> import hesr
+    >>> log = hesr.Log.read("my_arm/logs/sample_test.csv", "my_arm/robot.toml")
+    >>> hesr.monitor(log, law="law.json", rigid_body="rigid_body.json").passed
+    True
     """
     from dataclasses import replace
     from pathlib import Path

@@ -368,8 +368,11 @@ def observe(
     Examples
     --------
     >>> import hesr
-    >>> robot = {"robot": "robot.toml", "rigid_body": "rigid_body.json"}
-    >>> [observed_log] = hesr.observe("pushed.csv", law="law.json", **robot)
+    >>> log = hesr.Log.read("my_arm/logs/sample_test.csv", "my_arm/robot.toml")
+    >>> body = "rigid_body.json"
+    >>> [observed_log] = hesr.observe(log, law="law.json", rigid_body=body)
+    >>> observed_log.outputs["tau_ext"].shape
+    (4001, 3)
     """
     sources = arguments.list_logs("logs", logs)
     calibration_sources = arguments.list_logs("calibration", calibration)

@@ -131,9 +131,12 @@ class FileFormat:
     ----------
     name : name in messages.
     recognises : whether a path is a file of this format.
-    read : samples of a file, with the columns and units of the robot's description.
-    table : named columns of a file, which `hesr inspect` can recognise; None for other formats.
-    pieces : tables of successive rows, of at most the given number; None if read as a whole.
+    read : samples of a file, with the columns and units of the robot's
+        description.
+    table : named columns of a file, which `hesr inspect` can recognise; None
+        for other formats.
+    pieces : tables of successive rows, of at most the given number; None if
+        read as a whole.
     """
 
     name: str
