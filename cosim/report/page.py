@@ -19,6 +19,7 @@ from cosim.report.sections.summary import summary
 from cosim.report.tables.table import ResultTable, make_row
 from cosim.study.results import record_files
 from hesr_model.support import parallel, plugins
+from hesr_model.support.extras import install_command
 from hesr_model.support.progress import Stages, report_progress, silent
 from hesr_model.support.result_folder import folder_updated_whole
 
@@ -119,7 +120,7 @@ def compose_report(
             rendered_chapters += filter(None, [next(chapter_results)])
     zooms = {key: data for rendered in rendered_chapters for key, data in rendered.zooms.items()}
     if not can_zoom() and not brief:
-        _log.warning("figures of the report do not zoom: pip install 'hesr[report]'.")
+        _log.warning("figures of the report do not zoom: %s.", install_command("report"))
     sections = []
     for (key, title), group in chapters_by_section.items():
         section_chapters = [rendered for rendered in rendered_chapters if rendered.chapter in group]

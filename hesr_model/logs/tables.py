@@ -18,6 +18,7 @@ from hesr_model.logs.log_table import (
     require_columns,
 )
 from hesr_model.support.arrays import Array
+from hesr_model.support.extras import install_command
 
 _CHUNK_ROWS = 10_000  # rows written at once
 _BATCH_ROWS = 2**16  # rows read at once
@@ -106,7 +107,9 @@ def import_arrow() -> Any:
     try:
         import pyarrow.parquet
     except ModuleNotFoundError as error:
-        raise LogError("Parquet and Feather need pyarrow: pip install 'hesr[formats]'.") from error
+        raise LogError(
+            f"Parquet and Feather need pyarrow: {install_command('formats')}."
+        ) from error
     return pyarrow
 
 

@@ -7,6 +7,7 @@ from typing import Any
 from markupsafe import Markup
 
 from hesr_model.errors import ConfigError
+from hesr_model.support.extras import install_command
 
 
 def pandas_frame(columns: Mapping[str, Any], index: str | None = None) -> Any:
@@ -20,7 +21,7 @@ def import_library(name: str) -> Any:
     try:
         return import_module(name)
     except ImportError as error:
-        raise ConfigError(f"{name} is not installed; pip install 'hesr[tables]'.") from error
+        raise ConfigError(f"{name} is not installed; {install_command('tables')}.") from error
 
 
 def html_table(caption: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

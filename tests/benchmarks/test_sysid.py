@@ -13,7 +13,7 @@ Differences: MuJoCo relaxes the bristle with the velocity at the start of a step
 log here with that at its end; each is scored as it was fitted. The peer searches locally from an
 initial guess, the estimator here globally without one.
 
-Needs the extra `peer`: pip install "hesr[peer]".
+Needs the extra `peer`.
 """
 
 import io

@@ -11,6 +11,8 @@ from pathlib import Path
 import yaml
 from interface import interface
 
+from hesr_model.support.extras import PUBLISHED
+
 ROOT = Path(__file__).resolve().parents[2]
 RECORDED = Path(__file__).with_name("interface.txt")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -49,6 +51,19 @@ def test_files_agree_on_version_and_address() -> None:
     assert CITATION["url"] == address
     assert all(url.startswith(address) for url in PROJECT["urls"].values())
     assert CITATION["authors"] == [{"name": a["name"]} for a in PROJECT["authors"]]
+
+
+def test_only_one_place_says_how_extras_are_installed() -> None:
+    """A release turns it; pages refer to the start of the readme."""
+    stated = re.compile(r"pip install ['\"]?(?:hesr|\.)\[")
+    files = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
+    for package in ("hesr", "hesr_model", "cosim", "fmu_src"):
+        files += [*(ROOT / package).rglob("*.py"), *(ROOT / package).rglob("*.j2")]
+    found = [file.name for file in files if stated.search(file.read_text(encoding="utf-8"))]
+    assert found == ["extras.py"]
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert ("pip install hesr " in readme) == PUBLISHED
+    assert ("pip install . " in readme) != PUBLISHED
 
 
 def test_stated_versions_of_python_are_tested() -> None:

@@ -12,6 +12,7 @@ from small_twin import ALONE, MOTIONS
 
 from hesr_model.fitting.estimator import laws_of_paper, registry
 from hesr_model.support import plugins
+from hesr_model.support.extras import install_command
 from hesr_model.support.files import models_folder
 
 NO_EXTRAS = """
@@ -40,6 +41,7 @@ VERBS = ("new", "inspect", "excite", "identify", "fit", "export", "check", "simu
 
 HELP = f"""
 import click
+from markupsafe import escape
 from click.testing import CliRunner
 from hesr.cli.app import app
 for verb in {VERBS}:
@@ -215,7 +217,7 @@ def test_a_twin_needs_no_extra_and_no_optional_package(base: Path, tmp_path: Pat
     results = tmp_path / "results" / "uf850"
     assert {path.stem for path in (results / "fmus").glob("*.fmu")} >= {"parfam_h"}
     page = (results / "report.html").read_text(encoding="utf-8")
-    assert "Figures zoom after <code>pip install 'hesr[report]'</code>" in page
+    assert f"Figures zoom after <code>{escape(install_command('report'))}</code>" in page
     assert 'class="to-zoom"' not in page
     assert {path.suffix for path in (results / "traces").iterdir()} == {".npz"}
     assert (results / "closed_loop.npz").is_file()

@@ -23,7 +23,7 @@ START = 1_700_000_000_123_456_789
 STEP = 10_000_000
 """Period [ns]."""
 
-pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'hesr[ros]'")
+pytest.importorskip("rosbags", reason="needs hesr[ros]")
 
 
 def content() -> dict[str, np.ndarray]:

@@ -253,5 +253,5 @@ def test_a_missing_library_gives_the_install_command(
 ) -> None:
     (tmp_path / name).write_bytes(b"content")
     monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(LogError, match=rf" need {library}: pip install 'hesr\[formats\]'\.$"):
+    with pytest.raises(LogError, match=rf" need {library}: pip install '.+\[formats\]'"):
         Log.read(tmp_path / name, robot())

@@ -15,6 +15,7 @@ from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.robots.robot import Robot
+from hesr_model.support.extras import install_command
 from hesr_model.support.frames import html_table
 
 
@@ -115,4 +116,4 @@ def test_a_missing_library_is_named(
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(ConfigError) as caught:
         getattr(arm_log, call)()
-    assert str(caught.value) == (f"{library} is not installed; pip install 'hesr[tables]'.")
+    assert str(caught.value) == f"{library} is not installed; {install_command('tables')}."

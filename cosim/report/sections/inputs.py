@@ -14,6 +14,7 @@ from cosim.study.results import HEALTH, SavedLog, read_findings
 from cosim.study.study import LEFT_OUT
 from cosim.study.verdict import VERDICT
 from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.support.extras import install_command
 
 _INTERVAL = 1.96  # half width of a 95 % interval in standard errors
 _ROLES = {
@@ -133,6 +134,7 @@ def provenance(results: Results) -> dict[str, Any]:
         "run": run,
         "versions": ", ".join(f"{name} {number}" for name, number in run.versions.items()),
         "bokeh": version("bokeh") if can_zoom() else "",
+        "install_bokeh": install_command("report"),
         "files": [file for file in [*fmus, *_FILES] if (results.folder / file).is_file()],
         "hashes": ResultTable(
             caption="SHA-256 of the input files",

@@ -13,6 +13,7 @@ from hesr.extras.sweep.work import RunOutputs, Task, run_rows
 from hesr_model.errors import ConfigError, WorkerError
 from hesr_model.support import cache
 from hesr_model.support.arrays import Array
+from hesr_model.support.extras import install_command
 from hesr_model.support.files import sha256, written_whole
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ def run_on_cluster(
     try:
         from distributed import Client, Security
     except ImportError as error:
-        raise ConfigError("--cluster needs: pip install 'hesr[cluster]'.") from error
+        raise ConfigError(f"'cluster' needs: {install_command('cluster')}.") from error
     security = Security()
     try:
         context = security.get_connection_args("client")["ssl_context"]

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from cosim.workflow.answer import Written
 from hesr.extras.view.stage import HEIGHT, WIDTH, Selection, Stage, ViewOptions, choose
 from hesr_model.errors import ArtifactError, ConfigError
+from hesr_model.support.extras import install_command
 from hesr_model.support.files import written_whole
 from hesr_model.support.progress import Progress, Stages, deferred, report_progress, silent
 
@@ -184,7 +185,7 @@ def _find_encoder() -> str:
         return str(imageio_ffmpeg.get_ffmpeg_exe())
     except ImportError as error:
         raise ConfigError(
-            "videos need the package imageio-ffmpeg: pip install 'hesr[video]'."
+            f"videos need the package imageio-ffmpeg: {install_command('video')}."
         ) from error
     except RuntimeError as error:
         raise ConfigError(f"ffmpeg is missing ({_take_first_line(error)}).") from error

@@ -17,6 +17,7 @@ from hesr_model.errors import LogError
 from hesr_model.logs.readers.samples import LogSamples
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.arrays import Array
+from hesr_model.support.extras import install_command
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.text import on_one_line, quote
 
@@ -269,7 +270,7 @@ def _read_messages(path: Path, topics: Sequence[str]) -> Iterator[_Message]:
         from rosbags.typesys import Stores, get_typestore
     except ModuleNotFoundError as error:
         raise LogError(
-            f"{path}: reading a ROS bag needs the package rosbags: pip install 'hesr[ros]'.",
+            f"{path}: reading a ROS bag needs the package rosbags: {install_command('ros')}.",
             code="log.package",
             where=path,
         ) from error

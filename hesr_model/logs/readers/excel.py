@@ -12,6 +12,7 @@ from hesr_model.logs.log_format import LogFormat
 from hesr_model.logs.log_table import LogTable, compute_max_bytes, readable
 from hesr_model.logs.readers.formats import table_format
 from hesr_model.logs.tables import require_content
+from hesr_model.support.extras import install_command
 
 
 def _read(path: Path, log_format: LogFormat) -> LogTable:
@@ -21,7 +22,7 @@ def _read(path: Path, log_format: LogFormat) -> LogTable:
         import openpyxl
     except ModuleNotFoundError as error:
         raise LogError(
-            f"{path}: Excel workbooks need openpyxl: pip install 'hesr[formats]'.",
+            f"{path}: Excel workbooks need openpyxl: {install_command('formats')}.",
             code="log.package",
             where=path,
         ) from error

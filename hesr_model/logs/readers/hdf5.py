@@ -13,6 +13,7 @@ from hesr_model.logs.readers.formats import table_format
 from hesr_model.logs.tables import require_content
 from hesr_model.support.arrays import Array
 from hesr_model.support.text import quote
+from hesr_model.support.extras import install_command
 
 
 def read_hdf5_arrays(path: Path, kind: str, *, transposed: bool = False) -> dict[str, Array]:
@@ -21,7 +22,7 @@ def read_hdf5_arrays(path: Path, kind: str, *, transposed: bool = False) -> dict
         import h5py
     except ModuleNotFoundError as error:
         raise LogError(
-            f"{path}: {kind}s need h5py: pip install 'hesr[formats]'.",
+            f"{path}: {kind}s need h5py: {install_command('formats')}.",
             code="log.package",
             where=path,
         ) from error

@@ -19,6 +19,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from containing import Containing, OneSentence
+from markupsafe import escape
 from small_study import Hesr, hesr_here
 
 from cosim.report.markup import Tables
@@ -29,6 +30,7 @@ from cosim.report.tables.table import ResultTable
 from cosim.study.results import read_findings
 from cosim.study.verdict import read_verdict
 from hesr_model.errors import HesrError
+from hesr_model.support.extras import install_command
 
 Json = dict[str, Any]
 
@@ -348,8 +350,8 @@ def test_without_bokeh_the_page_says_so(
     monkeypatch.setitem(sys.modules, "bokeh", None)
     after = Page(write_report(copied))
     assert after.text.count('class="to-zoom"') == after.text.count('class="zoom"') == 0
-    assert "Figures zoom after <code>pip install 'hesr[report]'</code>" in after.text
-    assert caplog.messages == [Containing("zoom: pip install 'hesr[report]'")]
+    assert f"Figures zoom after <code>{escape(install_command('report'))}</code>" in after.text
+    assert caplog.messages == [Containing(f"zoom: {install_command('report')}")]
     assert (after.parts, after.figures) == (before.parts, before.figures)
 
 
