@@ -4,6 +4,7 @@ import json
 import subprocess
 from pathlib import Path
 
+import markupsafe
 import numpy as np
 import pytest
 from containing import OneSentence
@@ -41,7 +42,6 @@ VERBS = ("new", "inspect", "excite", "identify", "fit", "export", "check", "simu
 
 HELP = f"""
 import click
-from markupsafe import escape
 from click.testing import CliRunner
 from hesr.cli.app import app
 for verb in {VERBS}:
@@ -217,7 +217,7 @@ def test_a_twin_needs_no_extra_and_no_optional_package(base: Path, tmp_path: Pat
     results = tmp_path / "results" / "uf850"
     assert {path.stem for path in (results / "fmus").glob("*.fmu")} >= {"parfam_h"}
     page = (results / "report.html").read_text(encoding="utf-8")
-    assert f"Figures zoom after <code>{escape(install_command('report'))}</code>" in page
+    assert f"Figures zoom after <code>{markupsafe.escape(install_command('report'))}</code>" in page
     assert 'class="to-zoom"' not in page
     assert {path.suffix for path in (results / "traces").iterdir()} == {".npz"}
     assert (results / "closed_loop.npz").is_file()

@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote, unquote
 
+import markupsafe
 import numpy as np
 import pandas as pd
 import pytest
 from containing import Containing, OneSentence
-from markupsafe import escape
 from small_study import Hesr, hesr_here
 
 from cosim.report.markup import Tables
@@ -350,7 +350,10 @@ def test_without_bokeh_the_page_says_so(
     monkeypatch.setitem(sys.modules, "bokeh", None)
     after = Page(write_report(copied))
     assert after.text.count('class="to-zoom"') == after.text.count('class="zoom"') == 0
-    assert f"Figures zoom after <code>{escape(install_command('report'))}</code>" in after.text
+    assert (
+        f"Figures zoom after <code>{markupsafe.escape(install_command('report'))}</code>"
+        in after.text
+    )
     assert caplog.messages == [Containing(f"zoom: {install_command('report')}")]
     assert (after.parts, after.figures) == (before.parts, before.figures)
 
