@@ -12,8 +12,8 @@ from hesr_model.logs.readers.arrays import build_array_table, find_number_arrays
 from hesr_model.logs.readers.formats import table_format
 from hesr_model.logs.tables import require_content
 from hesr_model.support.arrays import Array
-from hesr_model.support.text import quote
 from hesr_model.support.extras import install_command
+from hesr_model.support.text import quote
 
 
 def read_hdf5_arrays(path: Path, kind: str, *, transposed: bool = False) -> dict[str, Array]:
