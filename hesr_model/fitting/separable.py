@@ -63,10 +63,25 @@ class SearchSpace:
 
 FINEST_SCALE = 0.01  # smallest scale of a sliding joint's lengths
 _LENGTHS = {"deflection", "v_s", "v_t", "x_0"}  # searched numbers [rad, rad/s; m, m/s]
+_SPEEDS = {"v_s", "v_t"}  # of them, speeds at which friction falls or rises
+_SPEED_TO_SLOWEST = 2.0  # of rows; exp(-4) of a rise at rest is still 2 % there
 MIN_COEFFICIENT = 1e-9  # [its unit] of a non-negative coefficient that scales others
 _WEAK_RISE = 1e-3  # relative rise of the cost that a number with hardly an effect causes
 _WEAK_VALUES = 5  # tried of such a number; searched velocities span three decades
 _SAME_VALUE_SHARE = 1e-3  # share of the range
+
+
+def _limit_speed(name: str, limits: tuple[float, float], dq: Array) -> tuple[float, float]:
+    """Return the bounds of a searched number; a speed is no smaller than rows (N,) can show.
+
+    At constant speeds no row is slow: friction that falls within 1 mrad/s would be multiplied by
+    round-off, and its static level is then 1e150 N.m.
+    """
+    lower, upper = limits
+    if name not in _SPEEDS:
+        return lower, upper
+    slowest = float(np.min(np.abs(dq), initial=np.inf))
+    return float(np.clip(slowest / _SPEED_TO_SLOWEST, lower, upper / _SPEED_TO_SLOWEST)), upper
 
 
 class Separable:
@@ -90,7 +105,9 @@ class Separable:
         self.space = space
         self.rows = rows
         self._kernel = _build_kernel(form, space)
-        limits = np.array([limits for _, limits in space.bounds]).reshape(-1, 2)
+        limits = np.array(
+            [_limit_speed(name, limits, rows.dq) for name, limits in space.bounds]
+        ).reshape(-1, 2)
         self._is_logarithmic = limits[:, 0] > 0.0
         scaled = np.log(np.maximum(limits, 1e-300))
         self.bounds = np.where(self._is_logarithmic[:, None], scaled, limits)

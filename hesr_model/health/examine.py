@@ -44,7 +44,7 @@ CHECKS = (
     *("velocity-scale", "velocity-lag", "torque-constant", "saturation", "torque-sign"),
     *("torque-scale", "torque-signal", "torque-lag", "torque-limit", "torque-small"),
     *("torque-columns", "position-sign", "joint-order", "zero", "gravity", "gravity-sign"),
-    *("torque-unsigned", "position-integral"),
+    *("torque-unsigned", "position-integral", "other-robot"),
 )
 
 

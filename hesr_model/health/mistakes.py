@@ -258,7 +258,10 @@ def check_causes(parts: Sequence[SmoothPart], robot: Robot) -> list[Hypothesis]:
             break
         rows = mistake.corrected
         share_before = share_after
-    return hypotheses
+    joints_beyond = _find_joints_beyond_limits(rows.q, robot)
+    if not joints_beyond:
+        return hypotheses
+    return _doubt_robot(hypotheses, joints_beyond[0])
 
 
 def _suppose(
@@ -289,7 +292,6 @@ def _suppose(
                 min_gain=CURE_GAIN,
             ),
         ),
-        contradictions=_find_contradictions(mistake, robot),
         record="motion of this joint through the whole of its range",
         changes=mistake.changes,
     )
@@ -305,17 +307,46 @@ def _predict_squares(rows: SupposedRows, robot: Robot, left_out: LeftOutRows, j:
     return np.asarray(errors**2 / max(float(np.var(tau)), 1e-300))
 
 
-def _find_contradictions(mistake: Mistake, robot: Robot) -> tuple[str, ...]:
-    """Return what stays impossible with a correction of positions, in words."""
-    if not {"log.zero", "log.units.q"} & set(mistake.changes):
-        return ()
-    excess = _compute_limit_excess(mistake.corrected.q[:, [mistake.joint]], robot, mistake.joint)
-    if excess <= MAX_EXCESS_SHARE:
-        return ()
-    return (
-        f"joint '{robot.joints[mistake.joint]}' would still lie beyond its limits; the log may be "
-        "of another robot",
+_GEOMETRIC_CHECKS = ("zero", "gravity", "joint-order", "position-sign")
+
+
+def _doubt_robot(hypotheses: Sequence[Hypothesis], joint_beyond: str) -> list[Hypothesis]:
+    """Return hypotheses of another robot instead of those that a limit contradicts.
+
+    The torques contradict the model as it is, and the limits each correction of its geometry.
+
+    Parameters
+    ----------
+    hypotheses : of mistakes that were found one after another.
+    joint_beyond : joint that lies beyond its limits with the corrections of all that won.
+    """
+    contradiction = (
+        f"joint '{joint_beyond}' would still lie beyond its limits; the log may be of another robot"
     )
+    doubted = []
+    for hypothesis in hypotheses:
+        if hypothesis.check not in _GEOMETRIC_CHECKS:
+            doubted.append(hypothesis)
+            continue
+        other_robot = replace(
+            hypothesis,
+            check="other-robot",
+            observation=f"{hypothesis.observation} ({hypothesis.remedy}), but joint "
+            f"'{joint_beyond}' then still lies beyond its limits",
+            remedy="the log may be of another robot; state the model of the robot that was logged",
+            changes={},
+        )
+        contradicted = replace(
+            hypothesis, contradictions=(*hypothesis.contradictions, contradiction)
+        )
+        doubted += [other_robot, contradicted]
+    return doubted
+
+
+def _find_joints_beyond_limits(q: Array, robot: Robot) -> list[str]:
+    """Return the joints whose positions (N, n) exceed the limits by more than usual."""
+    is_beyond = _compute_excess_shares(q, robot) > MAX_EXCESS_SHARE
+    return [robot.joints[j] for j in np.flatnonzero(is_beyond)]
 
 
 def _find_best_mistake(
@@ -348,22 +379,17 @@ def _find_best_mistake(
     return best_mistake, best_share
 
 
-def _compute_limit_excess(q: Array, robot: Robot, j: int | None = None) -> float:
-    """Return the largest excess over the model's limits, as a share of their width.
+def _compute_limit_excess(q: Array, robot: Robot) -> float:
+    """Return the largest excess of positions (N, n) over the limits, as a share of their width."""
+    return float(np.max(_compute_excess_shares(q, robot), initial=0.0))
 
-    Parameters
-    ----------
-    q : positions (N, n) of all joints, or (N, 1) of one.
-    robot : with the limits.
-    j : index of the joint of a single column.
-    """
+
+def _compute_excess_shares(q: Array, robot: Robot) -> Array:
+    """Return by how much positions (N, n) exceed limits (n,), as a share of their width."""
     lower, upper, _ = robot.limits
-    if j is not None:
-        lower, upper = lower[[j]], upper[[j]]
     excess = np.max(np.maximum(lower - q, q - upper), axis=0, initial=0.0)
     width = upper - lower
-    shares = np.where(np.isfinite(width), excess / np.maximum(width, 1e-300), 0.0)
-    return float(np.max(shares, initial=0.0))
+    return np.where(np.isfinite(width), excess / np.maximum(width, 1e-300), 0.0)
 
 
 def _compute_unexplained_share(rows: SupposedRows, robot: Robot, is_moving: Mask) -> Array:

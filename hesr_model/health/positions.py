@@ -285,9 +285,12 @@ def check_limits(part: SmoothPart, robot: Robot) -> Iterator[Hypothesis]:
             remedy = "q is in degrees"
             changes = {"log.units.q": _correct_degrees(description, is_rotary)}
         elif is_impossible:
-            remedy = "its unit, its zero or its column is wrong, or the model's limits are"
+            remedy = "its unit, its zero or its column is wrong, or the model is of another robot"
         else:
-            remedy = "the log's zero differs from the model's, or the model's limits are narrow"
+            remedy = (
+                "the log's zero differs from the model's, the model's limits are narrow, or the "
+                "model is of another robot"
+            )
         severity: Severity = "error" if is_impossible else "warning"
         yield Hypothesis(
             check="limits",

@@ -198,7 +198,7 @@ def check_torque(
     left_out = LeftOutRows.split([part.log.name], [part.t])
     for j, fit in fits.items():
         explanations = None if torques is None else Explanations(part, torques, j, left_out)
-        doubt = _doubt_signal(part, fit, j, robot, explanations)
+        doubt = _doubt_signal(part, fit, j, robot, explanations, is_stated=is_stated)
         if doubt is not None:
             yield doubt
             continue
@@ -213,7 +213,13 @@ def check_torque(
 
 
 def _doubt_signal(
-    part: SmoothPart, fit: TorqueFit, j: int, robot: Robot, explanations: Explanations | None
+    part: SmoothPart,
+    fit: TorqueFit,
+    j: int,
+    robot: Robot,
+    explanations: Explanations | None,
+    *,
+    is_stated: bool,
 ) -> Hypothesis | None:
     """Doubt that a torque holds a signal, if nothing explains it."""
     if fit.r2 >= NO_SIGNAL_R2:
@@ -237,7 +243,10 @@ def _doubt_signal(
         joint=robot.description.joints[j],
         observation=f"model and friction explain {100 * max(explained_share.value, 0.0):.0f} % of "
         f"its torque, which takes {level_count} values",
-        remedy="it contains almost no signal, or belongs to another joint",
+        remedy="it contains almost no signal, or belongs to another joint, or the model is of "
+        "another robot"
+        if is_stated
+        else "it contains almost no signal, or belongs to another joint",
         severity="warning",
         trials=(trial,),
         contradictions=()

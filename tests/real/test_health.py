@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hesr_model.health.examine import examine
-from hesr_model.health.proposal import inspect_logs
+from hesr_model.health.proposal import inspect_logs, propose
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot, RobotDescription
 
@@ -59,6 +59,25 @@ def test_backward_currents_of_a_tiago_are_found_from_its_urdf_alone() -> None:
     assert found.reasons["log.torque_per_ampere"].startswith("guess: ")
     checks = {finding.check for finding in found.examination.findings}
     assert checks == {"impossible-inertia", "torque-signal"}
+
+
+@pytest.mark.parametrize(
+    ("log", "checks"),
+    [("id_fourier_20s_5harm", {"other-robot", "limits"}), ("test_ptp_10_points", {"limits"})],
+)
+def test_no_correction_makes_a_foreign_model_that_of_the_log(log: str, checks: set[str]) -> None:
+    """Six joints of a UR10e with the model of a uf850; a moved zero would halve the errors."""
+    path = SHARED / "ur10e" / f"{log}.csv"
+    model = SHARED.parent / "robots" / "uf850.urdf"
+    if not path.is_file() or not model.is_file():
+        pytest.skip(f"measured logs are not next to the repository, in {SHARED}")
+    logged = RobotDescription.read(Path(__file__).with_name("ur10e.toml")).log
+    foreign = Robot(model).description.model_copy(update={"log": logged})
+    proposal = propose([path], foreign, has_model=True)
+    assert {finding.check for finding in proposal.examination.findings} == checks
+    assert proposal.description.log.zero is None
+    assert proposal.description.gravity == foreign.gravity
+    assert not any(finding.changes for finding in proposal.examination.findings)
 
 
 def one_torque_backwards(log: Log) -> Log:

@@ -86,3 +86,19 @@ def test_a_joint_that_never_reverses_is_refused() -> None:
     one_way = FrictionRecord(**(vars(data) | {"dq": np.abs(data.dq)}))
     with pytest.raises(HesrError, match="'j1' never reverses"):
         fitted(one_way)
+
+
+@pytest.mark.parametrize("speed", [0.1, 0.4, 3.0])
+def test_constant_speeds_give_no_static_friction_beyond_reason(speed: float) -> None:
+    """No row is slow: a level that falls within 1 mrad/s would be found as 1e150 N.m."""
+    rng = np.random.default_rng(0)
+    t = 0.005 * np.arange(8000)
+    rise = np.ones(9) / 9
+    dq = np.convolve(speed * np.where((t // 4.0) % 2 < 1, 1.0, -1.0), rise, "same")
+    tau = 0.3 * np.sign(dq) + 0.1 * dq + 0.02 * rng.normal(size=len(t))
+    zero = np.zeros_like(t)
+    data = FrictionRecord(log="run", joint="j1", t=t, dq=dq, q=zero, tau_load=zero, tau=tau)
+    law = fitted(data)
+    assert 0.0 <= law.values["F_s"] < 3.0
+    error = predict(law, t=t, dq=dq) - tau
+    assert np.std(error) < 0.03
