@@ -42,5 +42,5 @@ LOOP = Exporter(
     write=write,
     prepare=prepare,
     platform_refusal="'platform' is for single FMUs; those of a loop have the platforms of its "
-    "run: 'hesr run --platform'.",
+    "run.",
 )

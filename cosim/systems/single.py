@@ -14,7 +14,7 @@ from cosim.systems.simulation import Master
 from cosim.systems.system import ComponentSpec, SystemSpec, Value
 from fmu_src.run.archive import Archive
 from fmu_src.run.variables import Variables, read_packed_description
-from hesr_model.errors import ArtifactError, ConfigError, SimulationError
+from hesr_model.errors import ArgumentError, ArtifactError, ConfigError, SimulationError
 from hesr_model.support.arrays import Array
 
 _MAX_ROWS = 1_000_000
@@ -43,16 +43,16 @@ def read_experiment(
     start_time = 0.0 if start_time is None else start_time
     stop_time = start_time + 1.0 if stop_time is None else stop_time
     if not stop_time > start_time:
-        raise ConfigError(
-            f"{fmu}: --stop is {stop_time:g} s, not after the start, {start_time:g} s."
+        raise ArgumentError(
+            f"{fmu}: 'stop' is {stop_time:g} s, not after the start, {start_time:g} s."
         )
     if not step_size:
         step_size = _choose_step(stop_time - start_time)
     if not step_size > 0.0 or (stop_time - start_time) / step_size > _MAX_ROWS:
-        raise ConfigError(f"{fmu}: --step is {step_size:g} s; at most {_MAX_ROWS} steps are run.")
+        raise ArgumentError(f"{fmu}: 'step' is {step_size:g} s; at most {_MAX_ROWS} steps are run.")
     if start_time + step_size == start_time or stop_time - step_size == stop_time:
-        raise ConfigError(
-            f"{fmu}: --step is {step_size:g} s; it must change times of {stop_time:g} s."
+        raise ArgumentError(
+            f"{fmu}: 'step' is {step_size:g} s; it must change times of {stop_time:g} s."
         )
     return Experiment(begin=start_time, end=stop_time, step=step_size)
 
@@ -156,8 +156,8 @@ def open_single(
     jumps = find_jumps(t, columns, variables)
     points, evenly_spaced = find_communication_points(experiment, jumps, any_step=any_step)
     if len(points) < 2:
-        raise ConfigError(
-            f"{fmu}: --step is {experiment.step:g} s, longer than the run of "
+        raise ArgumentError(
+            f"{fmu}: 'step' is {experiment.step:g} s, longer than the run of "
             f"{experiment.end - experiment.begin:g} s, and the FMU takes no shorter step."
         )
     source = None
@@ -209,7 +209,7 @@ def _require_settable(fmu: Path, variables: Variables, values: Mapping[str, Valu
         variable = variables[name]
         has_start = variable.initial in ("exact", "approx") and variable.variability != "constant"
         if variable.causality != "input" and not has_start:
-            raise ConfigError(f"{fmu}: --set '{name}' has no start value that can be set.")
+            raise ArgumentError(f"{fmu}: 'set': '{name}' has no start value that can be set.")
 
 
 def _require_inputs(
@@ -219,13 +219,13 @@ def _require_inputs(
     columns = {name: column for name, column in inputs.items() if name != "time"}
     for name, column in columns.items():
         if variables[name].causality != "input":
-            raise ConfigError(f"{fmu}: --input has the column '{name}', which is not an input.")
+            raise ArgumentError(f"{fmu}: 'input' has the column '{name}', which is not an input.")
         if variables[name].type == "String":
-            raise ConfigError(f"{fmu}: --input has the column '{name}', a text; use --set.")
+            raise ArgumentError(f"{fmu}: 'input' has the column '{name}', a text; use 'set'.")
         for value in np.unique(column).tolist():
             variables.expand_values({name: value})
     if inputs and "time" not in inputs:
-        raise ConfigError(f"{fmu}: --input has no column 'time'.")
+        raise ArgumentError(f"{fmu}: 'input' has no column 'time'.")
     if inputs and np.any(np.diff(inputs["time"]) < 0.0):
-        raise ConfigError(f"{fmu}: --input has times that decrease.")
+        raise ArgumentError(f"{fmu}: 'input' has times that decrease.")
     return columns

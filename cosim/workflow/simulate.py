@@ -218,7 +218,7 @@ def parse_start_values(path: Path, pairs: Sequence[str]) -> dict[str, Any]:
     for pair in pairs:
         name, sign, text = pair.partition("=")
         if not (name and sign):
-            raise ConfigError(f"{path}: --set is '{pair}'; expected NAME=VALUE, such as gain=2.")
+            raise ArgumentError(f"{path}: 'set' is '{pair}'; expected NAME=VALUE, such as gain=2.")
         try:
             values[name] = parse_toml(f"value={text}")["value"]
         except ValueError:

@@ -364,7 +364,7 @@ def _add_certificates(report: LawReport, *, alone: bool) -> LawReport:
                     where=law.name,
                     joints=tuple(joints),
                     found="the law generates energy in a cycle, so it is not passive",
-                    remedy="--verbose shows the cycle; use a law that is proven passive",
+                    remedy="use a law that is proven passive; the tables show the cycle",
                 )
             )
     return replace(

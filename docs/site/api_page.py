@@ -57,7 +57,7 @@ HIDDEN = {
     "FrictionRegressor": "get_params set_params n_features_in_ equation sympy latex coefficients "
     "passivity",
     "Signals": "failure require_success end",
-    "HesrError": "add_place",
+    "HesrError": "add_place format_for_command_line",
     "OneForm": "require_usable build_fitted_space core fit",
     "Estimator": "require_usable as_text typical order quick proposed paper adds baseline",
     "FrictionLaw": "structure discretisation start start_samples coefficient_rows",

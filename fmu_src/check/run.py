@@ -14,7 +14,7 @@ from fmu_src.check.description import ParsedDescription, read_description
 from fmu_src.check.description_rules import RULES, RULES_2, RULES_3, TERMINALS, terminal_problems
 from fmu_src.check.rules import Problem
 from fmu_src.export.record import MEMBER
-from hesr_model.errors import ConfigError
+from hesr_model.errors import ArgumentError
 from hesr_model.findings import SEVERITIES, Finding, sort_by_severity
 from hesr_model.support import plugins
 from hesr_model.support.files import scratch_folder
@@ -80,7 +80,7 @@ def check(path: Path, *, vdmcheck: Path | None = None, kinds: Iterable[str] = ()
     Raises ArtifactError if the file is unreadable, ConfigError if VDMCheck2 is not in its folder.
     """
     if vdmcheck is not None and not (vdmcheck / external.JAR).is_file():
-        raise ConfigError(f"--vdmcheck is '{vdmcheck}', which does not contain {external.JAR}.")
+        raise ArgumentError(f"'vdmcheck' is '{vdmcheck}', which does not contain {external.JAR}.")
     with scratch_folder() as temporary:
         files = Path(temporary, "files")
         folder = Path(temporary, "work")

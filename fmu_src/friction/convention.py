@@ -81,12 +81,12 @@ def judge(fmu: Path) -> FrictionModel:
     for name, kind in (*needed, *((f"tau[{i}]", "output") for i in joints)):
         if (name, kind) not in has:
             raise SimulationError(
-                f"{fmu}: --kind convention needs a friction FMU (velocity in, torque out); this "
-                f"one has no {kind} '{name}'."
+                f"{fmu}: the check 'convention' needs a friction FMU (velocity in, torque out); "
+                f"this one has no {kind} '{name}'."
             )
     if model.thermal or ("adapt", "input") in has:
         raise SimulationError(
-            f"{fmu}: --kind convention does not support adaptive or thermal FMUs."
+            f"{fmu}: the check 'convention' does not support adaptive or thermal FMUs."
         )
     return model
 

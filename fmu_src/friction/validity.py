@@ -38,12 +38,12 @@ def require_exportable(
     if model.coupling and not coupled:
         raise ExportError(
             f"law '{model.law}': motors of '{model.robot}' turn with several joints, which {form} "
-            "does not support; use --format fmu or drive."
+            "does not support; use the format fmu or drive."
         )
     if model.thermal and not thermal:
         raise ExportError(
             f"law '{model.law}' depends on temperature, which {form} does not support; use "
-            "--format fmu, or a model without temperature."
+            "the format fmu, or a model without temperature."
         )
     require_numbers(model)
 

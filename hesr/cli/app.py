@@ -12,7 +12,7 @@ import click
 
 from hesr.cli import console
 from hesr.cli.derive import VERBS, Function, command
-from hesr_model.errors import ArgumentError, ConfigError
+from hesr_model.errors import HesrError
 from hesr_model.support import plugins
 
 if TYPE_CHECKING:
@@ -149,18 +149,21 @@ def _call(function: Function, arguments: dict[str, Any], *, hidden: bool) -> "An
             arguments["progress"] = progress
         try:
             result = function(**arguments)
-        except ArgumentError as error:
-            raise _name_options(error) from error
+        except HesrError as error:
+            sentence = error.format_for_command_line(_list_options())
+            if sentence == str(error):
+                raise
+            raise HesrError(sentence, code=error.code, where=error.where, key=error.key) from error
     if isinstance(result, Answer):
         return result
     answer: Answer = _module(function)["answer"](result, arguments.get("output"))
     return answer
 
 
-def _name_options(error: ArgumentError) -> ConfigError:
+def _list_options() -> dict[str, str]:
+    """Return the options of the command, by the name of their parameter."""
     parameters = click.get_current_context().command.params
-    options = {parameter.name: parameter.opts[-1] for parameter in parameters if parameter.name}
-    return ConfigError(error.format_for_command_line(options))
+    return {parameter.name: parameter.opts[-1] for parameter in parameters if parameter.name}
 
 
 app = _Verbs(

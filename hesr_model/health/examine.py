@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hesr_model.errors import ConfigError, FitError, LogError
+from hesr_model.errors import ArgumentError, FitError, LogError
 from hesr_model.findings import Finding, sort_by_severity
 from hesr_model.fitting.estimator import select_laws
 from hesr_model.friction.model import FrictionModel
@@ -297,16 +297,23 @@ class HealthError(LogError):
         super().__init__(message)
         self.findings = tuple(findings)
 
+    def format_for_command_line(self, options: Mapping[str, str]) -> str:
+        """Return the message with an option for each accepted check."""
+        checks = _list_checks(self.findings)
+        accept_options = " ".join(f"{options.get('accept', '--accept')} {name}" for name in checks)
+        return str(self).replace(f"accept={checks}", accept_options)
+
+
+def _list_checks(findings: Sequence[Finding]) -> list[str]:
+    return list(dict.fromkeys(finding.check for finding in findings))
+
 
 def _format_refusal(findings: Sequence[Finding]) -> str:
     lines = [f"{finding.sentence} [{finding.check}]" for finding in findings]
-    accept_options = " ".join(
-        f"--accept {check}" for check in dict.fromkeys(finding.check for finding in findings)
-    )
     hint = "hesr inspect tries the changes on these logs. " * any(
         finding.changes for finding in findings
     )
-    advice = f"{hint}To continue anyway: {accept_options}."
+    advice = f"{hint}To continue anyway: accept={_list_checks(findings)}."
     if len(lines) == 1:
         return f"{lines[0]} {advice}"
     return "\n  ".join([f"{len(lines)} errors in the data.", *lines, advice])
@@ -365,7 +372,7 @@ def require_known(accepted: Sequence[str], checks: Sequence[str]) -> None:
     """Raise ConfigError if `accepted` contains an unknown check."""
     for check in accepted:
         if check not in checks:
-            raise ConfigError(f"--accept is '{check}'; the checks are {', '.join(checks)}.")
+            raise ArgumentError(f"'accept' is '{check}'; the checks are {', '.join(checks)}.")
 
 
 _MIN_REST_SHARE = 0.02  # share of rests that shows stiction
@@ -460,7 +467,7 @@ def _doubt_body(body: RigidBody, robot: Robot, usual_speeds: Array) -> Iterator[
         example = f"{lowest_eigenvalue:.2g}, for instance at q = {positions_text}"
         remedy = "the identified masses are not physically possible; use longer or faster logs"
         if not robot.description.known:  # which exclude it
-            remedy += ", or --body physical of 'hesr identify', body = 'physical' of a study"
+            remedy += ", or the body 'physical' ('hesr identify', key 'body' of a study)"
         yield Hypothesis(
             check="mass-matrix",
             joint=joints[j],

@@ -181,7 +181,7 @@ def _require_stated(robot: Robot, key: str, limits: Array) -> None:
         joint = robot.joints[int(np.argmin(np.isfinite(limits)))]
         raise RobotError(
             f"robot '{robot.name}': its model has no {key} limit of joint '{joint}'; state "
-            f"'{key}' of all joints in the table [limits] of the settings (--settings)."
+            f"'{key}' of all joints in the table [limits] of a settings file."
         )
 
 

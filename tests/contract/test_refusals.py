@@ -1,12 +1,19 @@
 """Refusals of schemas: a code, a place and a key for each bad value."""
 
+import ast
 import pickle
 import re
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+import cosim
+import fmu_src
+import hesr
+import hesr_model
 from cosim.loop.motions import Motions
 from cosim.study.study import Study
 from cosim.systems.system import SystemSpec
@@ -14,6 +21,8 @@ from fmu_src.arm.table import SignalTable
 from hesr.extras.fleet.study import FleetStudy
 from hesr.extras.sweep.study import SweepStudy
 from hesr_model.errors import ConfigError
+from hesr_model.findings import Finding
+from hesr_model.health.examine import HealthError, require_sound
 from hesr_model.motions.excitation import ExcitationSettings
 from hesr_model.robots.description import RobotDescription
 from hesr_model.support.typed_files import Config
@@ -249,3 +258,34 @@ def test_missing_keys_are_named_at_once() -> None:
         RobotDescription.from_data(PLACE, {"log": {}})
     assert caught.value.code == "key.missing"
     assert "'name', 'model' and 'joints'" in str(caught.value)
+
+
+def read_raised_texts() -> Iterator[tuple[str, str]]:
+    """Yield place and text of each string in a `raise` of the product, but the command line's."""
+    for package in (hesr_model, fmu_src, cosim, hesr):
+        folder = Path(package.__file__).parent
+        for path in sorted(folder.rglob("*.py")):
+            if path.is_relative_to(Path(hesr.__file__).parent / "cli"):
+                continue
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            raised = [node for node in ast.walk(tree) if isinstance(node, ast.Raise)]
+            for node in (part for statement in raised for part in ast.walk(statement)):
+                if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                    yield f"{path.name}:{node.lineno}", node.value
+
+
+def test_errors_of_python_name_parameters_and_no_options() -> None:
+    """The command line replaces parameters by options (`format_for_command_line`)."""
+    texts = list(read_raised_texts())
+    assert len(texts) > 500
+    options = [(place, text) for place, text in texts if re.search(r"(?<![\w-])--[a-z]", text)]
+    assert options == []
+
+
+def test_refused_logs_are_accepted_in_the_words_of_the_caller() -> None:
+    finding = Finding(check="torque-sign", found="the torque of 'j1' has another sign")
+    with pytest.raises(HealthError) as caught:
+        require_sound([finding, replace(finding, check="zeros")], ())
+    assert "accept=['torque-sign', 'zeros']." in str(caught.value)
+    sentence = caught.value.format_for_command_line({"accept": "--accept"})
+    assert "--accept torque-sign --accept zeros." in sentence

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import click
 import pytest
+from documents import ROOT
 from small_study import Hesr, hesr_here
 
 from hesr.cli import app
@@ -157,13 +158,13 @@ def test_bash_completes(typed: str, completed: str) -> None:
 
 @installed
 @pytest.mark.skipif(not Path("/bin/bash").is_file(), reason="there is no bash")
-def test_the_bash_script_runs_in_bash(tmp_path: Path) -> None:
-    script = tmp_path / "hesr.sh"
-    script.write_text(ask(_HESR_COMPLETE="bash_source"), encoding="utf-8")
+def test_the_line_of_the_readme_switches_completion_on() -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    [line] = re.findall(r"(?m)^ {4}(eval .*_HESR_COMPLETE.*)$", readme)
     program = (
-        f". {script}\n"
-        "COMP_WORDS=(hesr ide) COMP_CWORD=1\n"
         f"PATH={HESR.parent}:$PATH\n"
+        f"{line}\n"
+        "COMP_WORDS=(hesr ide) COMP_CWORD=1\n"
         '_hesr_completion hesr\necho "${COMPREPLY[@]}"'
     )
     result = subprocess.run(

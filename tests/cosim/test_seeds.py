@@ -58,16 +58,16 @@ def test_the_command_runs_all_seeds(study: Path, tmp_path: Path, capsys, monkeyp
 
 
 def test_unsuitable_studies_are_refused(study: Path) -> None:
-    with pytest.raises(ConfigError, match=r"--seeds is 1; at least 2 are needed"):
+    with pytest.raises(ConfigError, match=r"'seeds' is 1; at least 2 are needed"):
         run_seeds(study, 1)
     text = study.read_text(encoding="utf-8")
     no_laws = study.with_name("none.toml")
     lines = [line for line in text.splitlines() if not line.startswith("laws")]
     no_laws.write_text("\n".join(lines), encoding="utf-8")
-    with pytest.raises(ConfigError, match="--seeds needs the key 'laws'"):
+    with pytest.raises(ConfigError, match="'seeds' needs the key 'laws'"):
         run_seeds(no_laws, 2)
     measured = study.with_name("measured.toml")
     before, _, after = text.partition("[twin]")
     measured.write_text(before + after[after.index("[logs]") :], encoding="utf-8")
-    with pytest.raises(ConfigError, match="--seeds needs a digital twin"):
+    with pytest.raises(ConfigError, match="'seeds' needs a digital twin"):
         run_seeds(measured, 2)

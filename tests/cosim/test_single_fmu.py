@@ -324,16 +324,16 @@ def test_scheduled_execution_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"stop": -1.0}, "--stop is -1 s, not"),
-        ({"step": 1e-9}, "--step is 1e-09 s; at most 1000000"),
-        ({"set": ["u"]}, "--set is 'u'; expected NAME=VALUE, such"),
-        ({"set": ["y=1"]}, "--set 'y' has no start value"),
+        ({"stop": -1.0}, "'stop' is -1 s, not"),
+        ({"step": 1e-9}, "'step' is 1e-09 s; at most 1000000"),
+        ({"set": ["u"]}, "'set' is 'u'; expected NAME=VALUE, such"),
+        ({"set": ["y=1"]}, "'set': 'y' has no start value"),
         ({"set": ["v=1"]}, "there is no variable 'v'"),
         ({"set": ["u=x"]}, "'u' cannot be 'x'; it has no choices."),
         ({"input": "time,y\n0,1\n1,1\n"}, "'y', which is not an input"),
         ({"input": "t,u\n0,1\n1,1\n"}, "there is no variable 't'"),
-        ({"input": "u\n0\n1\n"}, "--input has no column 'time'."),
-        ({"input": "time,u\n1,0\n0,1\n"}, "--input has times that decrease."),
+        ({"input": "u\n0\n1\n"}, "'input' has no column 'time'."),
+        ({"input": "time,u\n1,0\n0,1\n"}, "'input' has times that decrease."),
     ],
 )
 def test_wrong_options_are_refused(

@@ -94,7 +94,7 @@ def test_invalid_clusters_are_refused(study: Path, tmp_path: Path, monkeypatch: 
     with pytest.raises(ConfigError, match=r"found no scheduler at nonsense\."):
         run_sweep(study, tmp_path / "out", cluster="nonsense")
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ConfigError, match=r"--cluster needs: pip install"):
+    with pytest.raises(ConfigError, match=r"'cluster' needs: pip install"):
         run_sweep(study, tmp_path / "out", cluster="tcp://127.0.0.1:9")
 
 

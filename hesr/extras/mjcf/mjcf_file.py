@@ -259,7 +259,7 @@ def _export_joint(
                     law, trained_range, model.sample_time
                 )
             else:
-                # Refuse what --project would also refuse.
+                # Refuse what a projection would also refuse.
                 simulate_records(law, trained_range, model.sample_time)
         except HesrError as refusal_error:
             raise ExportError(
@@ -267,7 +267,7 @@ def _export_joint(
             ) from refusal_error
         if not project:
             raise ExportError(
-                f"{refusal} --project writes the nearest bristles and their errors."
+                f"{refusal} The option 'project' writes the nearest bristles and their errors."
             ) from error
         projection = JointProjection(
             joint=joint,

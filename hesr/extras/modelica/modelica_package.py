@@ -94,7 +94,7 @@ def package(model: FrictionModel, package_name: str) -> str:
         if is_prismatic:
             raise ExportError(
                 f"Modelica: joint '{joint}' is prismatic, which the package does not support; "
-                "export a friction FMU (--format fmu)."
+                "export a friction FMU."
             )
     require_exportable(model, "a Modelica package", coupled=False)
     environment = code_templates(

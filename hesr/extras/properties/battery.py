@@ -46,7 +46,7 @@ from hesr_model.support.progress import Progress, report_progress, silent
 _SAMPLE_TIME = 5e-3  # [s] default
 _DRIVE_EXPERIMENTS = (breakaway, stick_slip, dither, hold)
 _DRIVE_KEY = "drive"  # needs more than the scale
-_NO_INERTIA = "Not run: the inertia of the joints is unknown; give it with --inertia."
+_NO_INERTIA = "Not run: the inertia of the joints is unknown; give 'inertia'."
 _NO_MODEL = "Not run: the FMU contains no law, which a JointDrive needs."
 
 

@@ -35,7 +35,7 @@ from hesr.extras.ssp.ssp_graph import (
     read_transformation,
     safe_names,
 )
-from hesr_model.errors import ConfigError, SimulationError
+from hesr_model.errors import ArgumentError, ConfigError, SimulationError
 from hesr_model.support.files import scratch_folder
 
 _PREFIXES = {key.removeprefix("xmlns:"): uri for key, uri in NAMESPACES.items()}
@@ -126,7 +126,9 @@ class _Reader:
         self.apply_parameters(system, ())
         for name, value in start_values.items():
             if not self.assign((), name, ParameterValue(value=value)):
-                raise self.build_error(f"--set '{name}' is not a variable of the system.")
+                raise ArgumentError(
+                    f"{self.path}: 'set': '{name}' is not a variable of the system."
+                )
         # Names of elements may contain dots.
         names = safe_names("\0".join(element_path) for element_path in self.fmus)
         component_names = {
@@ -176,7 +178,9 @@ class _Reader:
             else start_time
         )
         if stop_time is None and experiment_node.get("stopTime") is None:
-            raise self.build_error("the default experiment has no stopTime; give --stop.")
+            raise ArgumentError(
+                f"{self.path}: the default experiment has no stopTime; give 'stop'."
+            )
         stop_time = (
             read_number(experiment_node, "stopTime", 0.0, SSD) if stop_time is None else stop_time
         )

@@ -21,7 +21,7 @@ from cosim.study.results import Seeds, SeedScores, Spread
 from cosim.study.scores import MEASURED_START, ORACLE, REFERENCE, Errors, transpose_records
 from cosim.study.study import Study
 from fmu_src.arm.plant import Plant, servo_signals
-from hesr_model.errors import ConfigError
+from hesr_model.errors import ArgumentError
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import score
@@ -49,18 +49,18 @@ def run_seeds(
     """Run the prediction part of a twin's study over draws; the first has the study's seed."""
     study = Study.read(path)
     if study.twin is None:
-        raise ConfigError(f"{path}: --seeds needs a digital twin; this study has measured logs.")
+        raise ArgumentError(f"{path}: 'seeds' needs a digital twin; this study has measured logs.")
     if study.twin.truth is not None:
-        raise ConfigError(
-            f"{path}: --seeds needs the friction of the MJCF; remove the key 'twin.truth'."
+        raise ArgumentError(
+            f"{path}: 'seeds' needs the friction of the MJCF; remove the key 'twin.truth'."
         )
     if not study.logs.test:
-        raise ConfigError(f"{path}: --seeds needs test sets; add the table 'logs.test'.")
+        raise ArgumentError(f"{path}: 'seeds' needs test sets; add the table 'logs.test'.")
     if seeds < MIN_DRAWS:
-        raise ConfigError(f"--seeds is {seeds}; at least {MIN_DRAWS} are needed.")
+        raise ArgumentError(f"'seeds' is {seeds}; at least {MIN_DRAWS} are needed.")
     law_names = tuple(laws or study.laws)
     if not law_names:
-        raise ConfigError(f"{path}: --seeds needs the key 'laws', or --quick.")
+        raise ArgumentError(f"{path}: 'seeds' needs the key 'laws', or 'quick'.")
     jobs = [
         partial(simulate_draw, study, study.seed + draw_index, law_names)
         for draw_index in range(seeds)

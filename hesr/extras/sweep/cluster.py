@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 from fmu_src.run.trust import is_known, is_trusted, remember
 from hesr.extras.sweep.plan import Plan
 from hesr.extras.sweep.work import RunOutputs, Task, run_rows
-from hesr_model.errors import ConfigError, WorkerError
+from hesr_model.errors import ArgumentError, WorkerError
 from hesr_model.support import cache
 from hesr_model.support.arrays import Array
 from hesr_model.support.extras import install_command
@@ -36,23 +36,23 @@ def run_on_cluster(
     try:
         from distributed import Client, Security
     except ImportError as error:
-        raise ConfigError(f"'cluster' needs: {install_command('cluster')}.") from error
+        raise ArgumentError(f"'cluster' needs: {install_command('cluster')}.") from error
     security = Security()
     try:
         context = security.get_connection_args("client")["ssl_context"]
         if context is None and urlsplit(address).scheme in _ENCRYPTED:
             raise OSError("no 'ca-file', 'client.cert' and 'client.key' in distributed.comm.tls")
     except OSError as error:  # errors of OpenSSL included
-        raise ConfigError(f"--cluster: Dask's TLS settings are not usable ({error}).") from error
+        raise ArgumentError(f"'cluster': Dask's TLS settings are not usable ({error}).") from error
     try:
         client = Client(address, timeout=_TIME_LIMIT, set_as_default=False, security=security)
     except (OSError, ValueError) as error:
-        raise ConfigError(f"--cluster: found no scheduler at {address}.") from error
+        raise ArgumentError(f"'cluster': found no scheduler at {address}.") from error
     with client:
         try:
             client.wait_for_workers(1, timeout=_TIME_LIMIT)
         except TimeoutError as error:
-            raise ConfigError(f"--cluster: the scheduler at {address} has no worker.") from error
+            raise ArgumentError(f"'cluster': the scheduler at {address} has no worker.") from error
         yield _run_chunks(client, plan, open_starts)
 
 
@@ -66,9 +66,9 @@ def require_encryption(address: str, *, insecure: bool) -> None:
         if ip_address(host).is_loopback:
             return
     if host != "localhost":
-        raise ConfigError(
-            f"--cluster: {address} is not encrypted; use tls:// with the TLS settings of Dask, or "
-            "--insecure in a network that you trust."
+        raise ArgumentError(
+            f"'cluster': {address} is not encrypted; use tls:// with the TLS settings of Dask, or "
+            "'insecure' in a network that you trust."
         )
 
 

@@ -16,7 +16,7 @@ from cosim.loop.closed_loop import ARM, StandIn
 from cosim.loop.traces import TRACES, Trace, read_traces
 from cosim.report.tables.table import title
 from fmu_src.run.archive import Archive
-from hesr_model.errors import ArtifactError, ConfigError, RobotError
+from hesr_model.errors import ArgumentError, ArtifactError, ConfigError, RobotError
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.support.arrays import Array
 
@@ -58,7 +58,9 @@ def choose(folder: Path, options: ViewOptions) -> Selection:
     schemes = list(dict.fromkeys(scheme.name for scheme, _ in traces))
     scheme = options.scheme or (_SCHEME if _SCHEME in schemes else schemes[-1])
     if scheme not in schemes:
-        raise ConfigError(f"--scheme is '{scheme}'; there are {_quote_names(schemes)} in {folder}.")
+        raise ArgumentError(
+            f"'scheme' is '{scheme}'; there are {_quote_names(schemes)} in {folder}."
+        )
     scheme_traces = {
         law_name: trace
         for (trace_scheme, law_name), trace in traces.items()
@@ -67,13 +69,13 @@ def choose(folder: Path, options: ViewOptions) -> Selection:
     laws = list(options.laws) or _choose_laws(scheme_traces)
     for law_name in laws:
         if law_name not in scheme_traces:
-            raise ConfigError(
-                f"--law is '{law_name}'; with scheme '{scheme}' there are "
+            raise ArgumentError(
+                f"'law' is '{law_name}'; with scheme '{scheme}' there are "
                 f"{_quote_names(scheme_traces)} in {folder}."
             )
     if len(laws) > _MAX_ARMS:
-        raise ConfigError(
-            f"--law is given {len(laws)} times; at most {_MAX_ARMS} fit side by side."
+        raise ArgumentError(
+            f"'law' is given {len(laws)} times; at most {_MAX_ARMS} fit side by side."
         )
     return Selection(
         mjcf=_read_mjcf(folder / "fmus" / ARM),

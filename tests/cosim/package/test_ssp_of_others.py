@@ -518,7 +518,7 @@ def test_other_parts_are_refused_by_name(root: str, sentence: str, ssp: Any) -> 
 
 def test_unknown_names_and_missing_times_are_refused(ssp: Any) -> None:
     path = ssp(system(lag("a")))
-    with pytest.raises(ConfigError, match=r"--set 'a\.v' is not a variable"):
+    with pytest.raises(ConfigError, match=r"'set': 'a\.v' is not a variable"):
         hesr.simulate(path, set=["a.v=1"])
     path = ssp(system(lag("a")), end="")
     with pytest.raises(ConfigError, match="default experiment has no stopTime"):

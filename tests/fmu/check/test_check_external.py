@@ -88,7 +88,7 @@ def test_java_of_the_current_folder_is_not_run(source_fmu, vdmcheck, tmp_path, m
 
 def test_a_folder_without_vdmcheck2_is_an_error(source_fmu, tmp_path):
     with pytest.raises(
-        ConfigError, match=r"--vdmcheck is 'none', which does not contain vdmcheck2\.jar"
+        ConfigError, match=r"'vdmcheck' is 'none', which does not contain vdmcheck2\.jar"
     ):
         check(source_fmu, vdmcheck=Path("none"))
 

@@ -217,7 +217,7 @@ def test_parts_missing_in_mujoco_are_refused(name, make_model, tmp_path):
     sentence = str(refusal.value)
     assert "joint 'axis_1' is not expressible" in sentence
     assert reason in sentence
-    assert "; --project writes the nearest bristles" in sentence
+    assert "'project' writes the nearest bristles" in sentence
     assert not list(tmp_path.iterdir())
 
 

@@ -335,15 +335,16 @@ def test_all_problems_are_reported_at_once_and_can_be_accepted(log: Log, arm_mod
     message = str(refused.value)
     assert "joint 'j2'" in message
     assert "joint 'j3'" in message
-    assert "--accept velocity-sign" in message
-    with pytest.raises(HealthError, match=r"To continue anyway: --accept torque-sign\.$"):
+    assert "accept=[" in message
+    assert "'velocity-sign'" in message
+    with pytest.raises(HealthError, match=r"To continue anyway: accept=\['torque-sign'\]\.$"):
         check_logs([wrong], arm_model, ["velocity-sign"])
     told = check_logs([wrong], arm_model, ["velocity-sign", "torque-sign"])
     assert {f.check for f in told} == {"velocity-sign", "torque-sign"}
 
 
 def test_only_checks_can_be_accepted(log: Log, arm_model: Robot) -> None:
-    with pytest.raises(ConfigError, match=r"--accept is 'everything'; the checks are time-unit, "):
+    with pytest.raises(ConfigError, match=r"'accept' is 'everything'; the checks are time-unit, "):
         check_logs([log], arm_model, ["everything"])
 
 
