@@ -64,6 +64,8 @@ def pytest_configure(config: pytest.Config) -> None:
     # Tests with an empty cache would have every process list all fonts again, and say so if slow.
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     os.environ.setdefault("MPLCONFIGDIR", str(home / "matplotlib"))
+    # Hostile FMUs of tests are told by variables what to do.
+    os.environ.setdefault("HESR_FMU_ENVIRONMENT", "DEED TARGET PID_FILE FREED ATTACKS")
     # Programs in Java run for seconds: optimising them would take as long again.
     os.environ.setdefault("JAVA_TOOL_OPTIONS", "-XX:TieredStopAtLevel=1")
     # More threads of linear algebra than cores wait for each other, here and in programs that tests

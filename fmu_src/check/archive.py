@@ -28,8 +28,8 @@ from fmu_src.run.archive import (
     open_archive,
     open_file,
 )
-from fmu_src.run.instance import DiedError
-from fmu_src.run.sandbox import run_in_sandbox
+from hesr_model.support.child import run_in_child
+from hesr_model.support.process import DiedError
 from hesr_model.support.text import join_few, quote, quote_names, sanitise
 
 MAX_XML_BYTES = 64 << 20
@@ -123,7 +123,7 @@ def schema_problems(name: str, file: Path, folder: Path) -> list[Problem]:
     """Return the schema violations of an XML file; time is limited, being quadratic in errors."""
     try:
         reader = "fmu_src.check.readers:compare"
-        violations = run_in_sandbox(reader, str(file), folder=folder, seconds=SCHEMA_TIMEOUT)
+        violations = run_in_child(reader, str(file), folder=folder, seconds=SCHEMA_TIMEOUT)
     except DiedError as error:
         text = f"{name}: it cannot be compared with the schema: the comparison {error}."
         return [("xsd", text)]

@@ -13,8 +13,8 @@ import fmpy
 from fmu_src.check.archive import Contents
 from fmu_src.check.description import KINDS, InterfaceKind, ParsedDescription
 from fmu_src.check.rules import Problem
-from fmu_src.run.instance import DiedError
-from fmu_src.run.sandbox import run_in_sandbox
+from hesr_model.support.child import run_in_child
+from hesr_model.support.process import DiedError
 from hesr_model.support.text import quote, quote_names, sanitise
 
 
@@ -202,7 +202,7 @@ def _check_library(
     folder: Path,
 ) -> Iterator[Problem]:
     try:
-        library = run_in_sandbox(_READER, str(file), folder=folder, seconds=READER_TIMEOUT)
+        library = run_in_child(_READER, str(file), folder=folder, seconds=READER_TIMEOUT)
     except DiedError as error:
         yield "binary-unreadable", f"its content could not be read: its reader {error}."
         return

@@ -8,9 +8,8 @@ from pathlib import Path
 
 from fmu_src.check.archive import Contents
 from fmu_src.check.rules import Problem
-from fmu_src.run.instance import DiedError
-from fmu_src.run.sandbox import run_in_sandbox
-from hesr_model.support.process import FailedError, run, tie_command
+from hesr_model.support.child import run_in_child
+from hesr_model.support.process import DiedError, FailedError, run, tie_command
 from hesr_model.support.text import quote_names, sanitise
 
 FMPY_SECONDS = 120.0
@@ -39,7 +38,7 @@ def fmpy(copy: Path, folder: Path) -> tuple[list[Problem], list[str]]:
     """Return the problems that FMPy finds, and why it was not run."""
     try:
         reader = "fmu_src.check.readers:validate"
-        messages, failure = run_in_sandbox(reader, str(copy), folder=folder, seconds=FMPY_SECONDS)
+        messages, failure = run_in_child(reader, str(copy), folder=folder, seconds=FMPY_SECONDS)
     except DiedError as error:
         return [], [f"FMPy {error}."]
     problems = [("fmpy", _add_difference(text)) for text in messages]
@@ -71,7 +70,7 @@ def vdmcheck2(
 ) -> tuple[list[Problem], list[str]]:
     """Return the problems that VDMCheck2 finds, and why it was not run."""
     if vdmcheck_folder is None:
-        return [], ["VDMCheck2: --vdmcheck names no folder of it."]
+        return [], ["VDMCheck2: --vdmcheck names no folder."]
     java = shutil.which("java")
     # A relative path lies in the current folder, whose content may be a stranger's.
     if java is None or not Path(java).is_absolute():

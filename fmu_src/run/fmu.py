@@ -14,7 +14,6 @@ from fmu_src.run.instance import (
     VERSIONS,
     WARNING,
     Buffer,
-    DiedError,
     Instance,
     LoadError,
     UnpackedFmu,
@@ -30,6 +29,7 @@ from fmu_src.run.variables import (
 from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
+from hesr_model.support.process import DiedError
 
 if TYPE_CHECKING:
     from fmu_src.run.sandbox import Sandbox, SandboxedInstance, SystemSandbox

@@ -32,10 +32,6 @@ class LoadError(Exception):
     """A binary cannot be loaded; the text says why."""
 
 
-class DiedError(Exception):
-    """A process has ended without an answer; the text names the call and the end."""
-
-
 class CallError(Exception):
     """A function of an FMU has failed; without a status, `function` is the message."""
 

@@ -1,18 +1,13 @@
-"""A process with limits on time, memory and files, for untrusted FMUs and files."""
+"""A child process for untrusted FMUs, alone or as a system."""
 
 import base64
-import json
-import socket
 import struct
-import subprocess
-import sys
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import cached_property, partialmethod
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -21,7 +16,6 @@ from fmu_src.run import sandbox_child
 from fmu_src.run.instance import (
     VERSIONS,
     CallError,
-    DiedError,
     Failure,
     LoadError,
     Tell,
@@ -29,29 +23,21 @@ from fmu_src.run.instance import (
 )
 from fmu_src.run.master import Layout
 from fmu_src.run.native import FUNCTIONS, End, set_times, write_library
-from fmu_src.run.sandbox_rights import warn
 from hesr_model.support.arrays import Array
+from hesr_model.support.child import INVALID_ANSWER, RUN_TIMEOUT, Child
 from hesr_model.support.files import scratch_folder
-from hesr_model.support.process import ChildProcess, FailedError, describe_end, python_command
+from hesr_model.support.process import DiedError
 from hesr_model.support.text import sanitise
 
-RUN_TIMEOUT = 3600.0  # [s] of a run
 _FREE_TIMEOUT = 5.0  # [s] to free an instance
-_POLL_PERIOD = 0.1  # [s] between checks of the process
-_RECEIVE_SIZE = 1 << 16  # bytes received at once
 _MAX_PREFETCHED = 8  # buffers
-_MAX_RESULT_BYTES = 64 << 20  # bytes
-INVALID_ANSWER = "gave an invalid answer and was ended"
+_SERVER = "fmu_src.run.sandbox_child:serve"
 
 
-class Sandbox:
-    """A child process in an empty folder that answers requests within `seconds` [s] each.
+class Sandbox(Child):
+    """A child that serves FMUs, with a file of values and recorded rows that both share.
 
-    All requests of a run, or of a process without runs, must be answered within `total` [s]. The
-    process may read a file or folder, `readable`, and imports `modules` at once.
-
-    Otherwise it raises DiedError with the end of a sentence; `progress` is then that of its end,
-    whose call is the position of the last call within its request.
+    `progress` is that of its end, whose call is the position of the last call within its request.
     """
 
     def __init__(
@@ -62,43 +48,18 @@ class Sandbox:
         *modules: str,
         total: float = RUN_TIMEOUT,
     ) -> None:
-        warn()
-        self.seconds = seconds
         self.readable = readable
         self.tells: list[Tell] = []  # by number of the instance
         self.buffers = 0  # number
-        self._total = total
-        self._ended = False
         self._last_shared = b""
-        self.begin()
         # Kept open, because the FMU may replace the file.
         self._shared = (folder / sandbox_child.SHARED).open("w+b", buffering=0)
         self.share(b"", 0)
-        self._socket, theirs = socket.socketpair()
-        self._socket.settimeout(_POLL_PERIOD)
-        theirs.set_inheritable(True)
-        arguments = (str(theirs.fileno()), str(readable.resolve()), *modules)
-        windows = sys.platform == "win32"
         try:
-            self._child = ChildProcess(
-                python_command("-m", "fmu_src.run.sandbox_child", *arguments),
-                folder,
-                environment=dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder.resolve())),
-                stdin=subprocess.PIPE,  # closed when this process ends
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                **({"close_fds": False} if windows else {"pass_fds": (theirs.fileno(),)}),
-            )
-        except FailedError as error:
+            super().__init__(folder, seconds, [readable], *modules, total=total, server=_SERVER)
+        except DiedError:
             self._shared.close()
-            self._socket.close()
-            raise DiedError(f"has no process: {error}") from error
-        finally:
-            theirs.close()
-
-    def begin(self) -> None:
-        """Begin a run, which has `total` seconds."""
-        self._run_deadline = time.monotonic() + self._total
+            raise
 
     def share(self, values: bytes, size: int) -> None:
         """Clear the progress in the shared file; values and `size` bytes follow it."""
@@ -119,108 +80,29 @@ class Sandbox:
         self, request: Any, limit: int = sandbox_child.MAX_ANSWER_BYTES, *, stepping: bool = False
     ) -> Any:
         """Return the answer to a request, at most `limit` bytes; `stepping` has `seconds` a row."""
-        data = json.dumps(request).encode()
-        self._answer_deadline = time.monotonic() + self.seconds
-        self._stepping = stepping
-        try:
-            self._send(sandbox_child.LENGTH.pack(len(data)) + data)
-            return json.loads(self._receive(limit))
-        except OSError as error:  # a closed connection included
-            raise self.end_process(self._describe_end()) from error
-        except (ValueError, RecursionError) as error:
-            raise self.end_process(INVALID_ANSWER) from error
-
-    def run(self, function: str, *arguments: Any) -> Any:
-        """Return the result of "module:function", called in the process with JSON data."""
-        answer = self.ask({"run": [function, *arguments]}, _MAX_RESULT_BYTES)
-        try:
-            if "raised" in answer:
-                raise self.end_process(
-                    f"failed with '{sanitise(str(answer['raised']), 400).rstrip('.')}'"
-                )
-            return answer["result"]
-        except (TypeError, KeyError) as error:
-            raise self.end_process(INVALID_ANSWER) from error
+        self._known_rows = self.progress()[0] if stepping else None
+        return super().ask(request, limit)
 
     def end_process(self, reason: str) -> DiedError:
         """End the process and return the error; keep the rows that it has shared."""
         self._last_shared = self.read_shared(0, self._size)
-        self.kill()
-        return DiedError(reason)
+        return super().end_process(reason)
 
     def kill(self) -> None:
         """End the process and its descendants."""
-        if self._ended:
-            return
-        self._ended = True
         self._shared.close()
-        self._socket.close()
-        if self._child.process.stdin:
-            self._child.process.stdin.close()
-        self._child.end()
+        super().kill()
 
     def progress(self) -> tuple[int, int, int]:
         """Return rows, station and call; the FMU may have written anything there."""
         head = self.read_shared(0, sandbox_child.HEAD)
         return struct.unpack("=3q", head.ljust(sandbox_child.HEAD, b"\0"))
 
-    def _send(self, data: bytes) -> None:
-        unsent = memoryview(data)
-        while unsent:
-            with suppress(TimeoutError):
-                unsent = unsent[self._socket.send(unsent) :]
-            self._require_time()
-
-    def _receive(self, limit: int) -> bytes:
-        data = bytearray()
-        size = sandbox_child.LENGTH.size + limit
-        before = self.progress() if self._stepping else None
-        while len(data) < size:
-            try:
-                piece = self._socket.recv(_RECEIVE_SIZE)
-            except TimeoutError:
-                # Descendants may keep the connection open.
-                if self._child.process.poll() is not None:
-                    raise ConnectionError from None
-                if before and before[0] != (now := self.progress())[0]:
-                    before, self._answer_deadline = now, time.monotonic() + self.seconds
-                self._require_time()
-                continue
-            if not piece:
-                raise ConnectionError
-            data += piece
-            if len(data) < sandbox_child.LENGTH.size:
-                self._require_time()
-                continue
-            size = sandbox_child.LENGTH.size + sandbox_child.LENGTH.unpack_from(data)[0]
-            if size > sandbox_child.LENGTH.size + limit or len(data) > size:
-                raise self.end_process(INVALID_ANSWER)
-            if len(data) < size:
-                self._require_time()
-        return bytes(data[sandbox_child.LENGTH.size :])
-
-    def _require_time(self) -> None:
-        now = time.monotonic()
-        if now > self._answer_deadline:
-            raise self.end_process(f"gave no answer within {self.seconds:g} s and was ended")
-        if now > self._run_deadline:
-            raise self.end_process(f"ran for more than {self._total:g} s and was ended")
-
-    def _describe_end(self) -> str:
-        try:
-            return describe_end(self._child.process.wait(1.0))
-        except subprocess.TimeoutExpired:
-            return "closed its connection and was ended"
-
-
-def run_in_sandbox(function: str, *arguments: Any, folder: Path, seconds: float) -> Any:
-    """Do `Sandbox.run` in a new sandbox, which may read the path in the first argument."""
-    with TemporaryDirectory(dir=folder) as process_folder:
-        sandbox = Sandbox(Path(process_folder), seconds, Path(arguments[0]))
-        try:
-            return sandbox.run(function, *arguments)
-        finally:
-            sandbox.kill()
+    def _extend_deadline(self) -> None:
+        """Give `seconds` after each new row."""
+        if self._known_rows is not None and self._known_rows != (rows := self.progress()[0]):
+            self._known_rows = rows
+            self._answer_deadline = time.monotonic() + self.seconds
 
 
 class SystemSandbox(ExitStack):

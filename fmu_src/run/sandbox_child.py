@@ -1,23 +1,13 @@
-"""Process of a sandbox, which serves FMUs or runs functions by name.
+"""Server of FMUs in a child process.
 
-python -m fmu_src.run.sandbox_child SOCKET READABLE [MODULE ...]
-
-Messages are JSON after their length; arrays are texts in base 64. The file `SHARED` begins with the
-running call (`StepRecord`), followed by values and recorded rows of a system. The process ends with
-its parent. It may write in its folder and read below READABLE; see `sandbox_rights`.
+Arrays are texts in base 64. The file `SHARED` begins with the running call (`StepRecord`), followed
+by values and recorded rows of a system.
 """
 
 import base64
 import ctypes
-import importlib
-import json
 import mmap
-import os
-import signal
-import socket
 import struct
-import sys
-import threading
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -25,24 +15,20 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fmu_src.run.sandbox_rights import give_up
+from hesr_model.support import child_main
+from hesr_model.support.child_main import MAX_MESSAGE_LENGTH, Connection
 
 if TYPE_CHECKING:
     from fmu_src.run.instance import Instance, LocalBuffer
     from fmu_src.run.native import StepRecord
 
-MAX_MEMORY_BYTES = 4 << 30  # of the process
-MAX_FILE_BYTES = 1 << 30
-MAX_OPEN_FILES = 256  # at a time
 MAX_MESSAGES = 100
-MAX_MESSAGE_LENGTH = 2000
-"""Number and size [characters] of the last messages of an FMU that are forwarded."""
+"""Number of the last messages of an FMU that are forwarded."""
 
 # Largest text of an answer of an FMU.
 MAX_ANSWER_BYTES = 4 * MAX_MESSAGES * MAX_MESSAGE_LENGTH
 SHARED = "shared"
 HEAD = 24  # bytes of `StepRecord`
-LENGTH = struct.Struct("!I")
 LAYOUT_FIELDS: dict[str, Any] = dict.fromkeys(("begin", "step", "low", "high"), float)
 LAYOUT_FIELDS |= {"rows": "intp", "limited": "intp"}  # parts of a layout, and types
 
@@ -64,9 +50,7 @@ class _Slave:
 
 
 class _Host:
-    def __init__(self, connection: socket.socket) -> None:
-        self._connection = connection
-        self._process = os.getpid()
+    def __init__(self) -> None:
         self._instance_number = 0
         self._messages: list[tuple[int, int, str]] = []  # number of the instance, status, text
         self._instances: list[Instance] = []
@@ -74,21 +58,11 @@ class _Host:
         self._file = Path(SHARED).open("r+b")  # noqa: SIM115  # as long as the process
         self._shared = mmap.mmap(self._file.fileno(), HEAD)
 
-    def serve(self) -> None:
-        requests = self._connection.makefile("rb")
-        while header := requests.read(LENGTH.size):
-            request = json.loads(requests.read(*LENGTH.unpack(header)))
-            reply = _run(*request["run"]) if "run" in request else self._answer_calls(**request)
-            if os.getpid() != self._process:  # the FMU has forked: one process answers
-                os._exit(0)
-            answer = json.dumps(reply).encode()
-            self._connection.sendall(LENGTH.pack(len(answer)) + answer)
-
     def _tell(self, instance_number: int, status: int, text: str) -> None:
         self._messages.append((instance_number, status, text[:MAX_MESSAGE_LENGTH]))
         del self._messages[:-MAX_MESSAGES]
 
-    def _answer_calls(
+    def answer_calls(
         self, instance_number: int, calls: Sequence[Sequence[Any]], ahead: Sequence[int]
     ) -> dict[str, Any]:
         """Do the calls, and read buffers speculatively."""
@@ -205,49 +179,7 @@ class _Host:
                 self._progress.done = self._stepper.done
 
 
-def _run(function: str, *arguments: Any) -> dict[str, Any]:
-    module, _, name = function.partition(":")
-    try:
-        return {"result": getattr(importlib.import_module(module), name)(*arguments)}
-    except Exception as error:
-        return {"raised": f"{type(error).__name__}: {error}"[:MAX_MESSAGE_LENGTH]}
-
-
-def _limit() -> None:
-    with suppress(ImportError):  # Windows has no such limits
-        import resource
-
-        for kind, limit in (
-            (resource.RLIMIT_AS, MAX_MEMORY_BYTES),
-            (resource.RLIMIT_FSIZE, MAX_FILE_BYTES),
-            (resource.RLIMIT_NOFILE, MAX_OPEN_FILES),
-            (resource.RLIMIT_CORE, 0),
-        ):
-            # A lower limit may be set already.
-            hard = resource.getrlimit(kind)[1]
-            effective_limit = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
-            resource.setrlimit(kind, (effective_limit, effective_limit))
-
-
-def _end_with_parent() -> None:
-    with suppress(OSError):
-        while os.read(0, 1):
-            pass
-    if hasattr(os, "killpg"):
-        os.killpg(os.getpgrp(), signal.SIGKILL)
-    os._exit(1)
-
-
-def main() -> None:
-    """Serve the socket whose number is the first argument."""
-    connection = socket.socket(fileno=int(sys.argv[1]))
-    _limit()
-    give_up(Path.cwd(), Path(sys.argv[2]))
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    for name in sys.argv[3:]:  # while the parent works
-        importlib.import_module(name)
-    _Host(connection).serve()
-
-
-if __name__ == "__main__":
-    main()
+def serve(connection: Connection) -> None:
+    """Serve FMUs, and run functions, until the connection ends."""
+    host = _Host()
+    child_main.serve(connection, lambda request: host.answer_calls(**request))

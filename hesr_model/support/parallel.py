@@ -52,7 +52,7 @@ def work(folder: Path, parent: int) -> None:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     threading.Thread(target=_exit_after_parent, args=(parent, folder), daemon=True).start()
     collect_seldom()
-    for name in (cache.__name__, "fmu_src.run.sandbox_rights"):  # the parent has warned
+    for name in (cache.__name__, "hesr_model.support.child"):  # the parent has warned
         logging.getLogger(name).setLevel(logging.ERROR)
     tempfile.tempdir = str(folder)
     requests = os.fdopen(os.dup(0), "rb")

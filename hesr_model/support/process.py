@@ -26,8 +26,15 @@ class FailedError(Exception):
     """A program gave no answer; the text is a reason without full stop."""
 
 
+class DiedError(Exception):
+    """A process has ended without an answer; the text names the call and the end."""
+
+
 class ChildProcess:
-    """A program in its own session, whose variable `mark` identifies descendants; FailedError."""
+    """A program in its own session, whose variable `mark` identifies descendants; FailedError.
+
+    It sees the variables `environment` and those `inherited`, by default all of this process.
+    """
 
     def __init__(
         self,
@@ -36,6 +43,7 @@ class ChildProcess:
         *,
         mark: str = "",
         environment: Mapping[str, str] | None = None,
+        inherited: Mapping[str, str] | None = None,
         start_new_session: bool = True,
         **popen_options: Any,
     ) -> None:
@@ -44,7 +52,10 @@ class ChildProcess:
             self.process = subprocess.Popen(
                 list(command),
                 cwd=folder,
-                env=os.environ | _SAFE_PATH | {self._mark: "1"} | dict(environment or {}),
+                env=dict(os.environ if inherited is None else inherited)
+                | _SAFE_PATH
+                | {self._mark: "1"}
+                | dict(environment or {}),
                 start_new_session=start_new_session,
                 **popen_options,
             )

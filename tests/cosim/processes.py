@@ -1,5 +1,6 @@
 """Commands in separate processes, to be interrupted and killed, and the traces they leave."""
 
+import json
 import os
 import signal
 import subprocess
@@ -8,6 +9,8 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+
+import psutil
 
 COMMAND = ("-c", "from hesr.cli import main; main()")
 
@@ -79,6 +82,21 @@ def workers(group: int) -> list[int]:
         for number, command in running(group).items()
         if "hesr_model.support.parallel" in command
     ]
+
+
+def is_nursery(process: psutil.Process) -> bool:
+    """Whether a process forks the children that handle foreign code; it stays until the end."""
+    with suppress(psutil.Error, ValueError, IndexError):
+        return len(json.loads(process.cmdline()[-2])) == 1
+    return False
+
+
+def list_children() -> list[psutil.Process]:
+    """Return the children of this process, with those of its nursery in place of it."""
+    found = []
+    for child in psutil.Process().children():
+        found += child.children() if is_nursery(child) else [child]
+    return found
 
 
 def assert_nothing_left(group: int, folder: Path) -> None:

@@ -13,22 +13,22 @@ import numpy as np
 import psutil
 import pytest
 from hostile import archived, infected
-from processes import HANG, started, wait_for
+from processes import HANG, list_children, started, wait_for
 from small_fmus import LAGS
 from small_study import Hesr, hesr_here
 
 from cosim.systems.simulation import Master, System
 from cosim.systems.system import SystemSpec
 from fmu_src.check.run import check
-from fmu_src.run import sandbox_child, sandbox_rights
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.instance import Instance
 from fmu_src.run.sandbox import Sandbox
 from fmu_src.run.trust import hash_folder, is_trusted, remember
 from hesr_model.errors import SimulationError
+from hesr_model.support import child, child_main, rights
 from hesr_model.support.files import sha256
 
-is_restricted = sandbox_rights._landlock_version() >= 6 and sandbox_rights._has_seccomp()
+is_restricted = rights.get_landlock_version() >= 6 and rights.has_seccomp()
 linux = pytest.mark.skipif(not is_restricted, reason="needs Landlock 6 and seccomp")
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="limits are those of POSIX")
 
@@ -69,7 +69,7 @@ def go(fmu: Path, *, seconds: float = 20.0) -> None:
 
 
 def children() -> list[int]:
-    return [child.pid for child in psutil.Process().children(recursive=True)]
+    return [child.pid for child in list_children()]
 
 
 def test_only_foreign_fmus_run_in_a_separate_process(lag_fmu: Path, foreign_lag: Path) -> None:
@@ -78,7 +78,7 @@ def test_only_foreign_fmus_run_in_a_separate_process(lag_fmu: Path, foreign_lag:
         assert children() == before
     with FmuInstance(foreign_lag):
         (own,) = set(children()) - set(before)
-        assert "fmu_src.run.sandbox_child" in " ".join(psutil.Process(own).cmdline())
+        assert "hesr_model.support.child_main" in " ".join(psutil.Process(own).cmdline())
     assert children() == before
 
 
@@ -291,16 +291,20 @@ def test_readers_of_untrusted_files_have_few_rights_too(
     assert f"exit code {REFUSED[deed]}" in str(hostile.found)
 
 
-def test_a_system_without_limits_is_named(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize("missing", rights.MECHANISMS)
+def test_what_a_missing_mechanism_permits_is_said_once(
+    missing: rights.Mechanism, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(sandbox_rights.platform, "machine", lambda: "riscv64")
-    sandbox_rights.warn.cache_clear()
-    sandbox_rights.warn()
-    sandbox_rights.warn()
+    monkeypatch.setattr(child, "_told_risks", set())
+    held = [mechanism.name for mechanism in rights.MECHANISMS if mechanism != missing]
+    child.warn_of_risks([*held, missing.name])
+    assert caplog.messages == []
+    child.warn_of_risks(held)
+    child.warn_of_risks(held)
     (warning,) = caplog.messages
-    assert "programs and network (seccomp); see SECURITY.md." in warning
-    sandbox_rights.warn.cache_clear()
+    assert missing.risk in warning
+    assert f"no {missing.name}" in warning
+    assert not any(other.risk in warning for other in rights.MECHANISMS if other != missing)
 
 
 STATUSES = {-1: "illegal return code", 6: "illegal return code", 2147483647: "illegal return code",
@@ -374,7 +378,9 @@ def test_signals_end_a_run_at_once(
 
         def looping() -> bool:
             with suppress(psutil.NoSuchProcess):  # other processes start and end meanwhile
-                return any(child.cpu_times().user > 1.5 for child in parent.children())
+                return any(
+                    child.cpu_times().user > 1.5 for child in parent.children(recursive=True)
+                )
             return False
 
         wait_for(looping, process)
@@ -507,8 +513,8 @@ def test_old_hashes_are_forgotten(
 def test_limits_are_those_of_the_page() -> None:
     page = Path(__file__).parents[2].joinpath("docs/security.md").read_text(encoding="utf-8")
     limits = (
-        f"{sandbox_child.MAX_MEMORY_BYTES >> 30} GiB of address space",
-        f"{sandbox_child.MAX_FILE_BYTES >> 30} GiB per file",
-        f"{sandbox_child.MAX_OPEN_FILES} open files",
+        f"{child.MAX_MEMORY_BYTES >> 30} GiB of address space beyond Python's own",
+        f"{child_main.MAX_FILE_BYTES >> 30} GiB per file",
+        f"{child_main.MAX_OPEN_FILES} open files",
     )
     assert ", ".join(limits) in page

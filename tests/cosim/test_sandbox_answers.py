@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmu_src.run.instance import CallError, DiedError, LoadError, UnpackedFmu
-from fmu_src.run.sandbox import INVALID_ANSWER, Sandbox, SandboxedInstance
-from fmu_src.run.sandbox_child import LENGTH
+from fmu_src.run.instance import CallError, LoadError, UnpackedFmu
+from fmu_src.run.sandbox import Sandbox, SandboxedInstance
+from hesr_model.support.child import INVALID_ANSWER
+from hesr_model.support.child_main import LENGTH
+from hesr_model.support.process import DiedError
 
 MOST = 64
 """Size of the longest answer that is accepted [bytes]."""

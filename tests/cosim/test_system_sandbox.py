@@ -6,9 +6,9 @@ import zipfile
 from pathlib import Path
 
 import numpy as np
-import psutil
 import pytest
 from hostile import archived, infected
+from processes import list_children
 from small_fmus import LAGS, lag
 from small_study import Hesr, hesr_here
 
@@ -49,7 +49,7 @@ def spec(a: Path, b: Path, folder: Path, *, change: tuple[str, str] = ("", "")) 
 
 
 def children() -> int:
-    return len(psutil.Process().children(recursive=True))
+    return len(list_children())
 
 
 def run(own: SystemSpec, runs: int = 1, **options: bool) -> Signals:

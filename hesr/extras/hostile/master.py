@@ -23,9 +23,11 @@ from fmu_src.check.description import (
     real,
 )
 from fmu_src.check.rules import Problem, find_rule, label_problems
-from fmu_src.run.instance import PLATFORM, SUFFIX, DiedError
-from fmu_src.run.sandbox import INVALID_ANSWER, Sandbox
+from fmu_src.run.instance import PLATFORM, SUFFIX
+from fmu_src.run.sandbox import Sandbox
 from hesr_model.support.arrays import Array
+from hesr_model.support.child import INVALID_ANSWER
+from hesr_model.support.process import DiedError
 from hesr_model.support.text import quote, sanitise
 
 SECONDS = 300.0  # for a scenario

@@ -114,7 +114,7 @@ FMPY = {
 def test_findings_of_fmpy_need_no_rule(change, expected, xml, tmp_path, monkeypatch):
     change(xml)
     assert sentences(xml) == ([LOOPS] if "If dependenciesKind" in expected else [])
-    monkeypatch.setattr(external, "run_in_sandbox", lambda _, file, **_more: readers.validate(file))
+    monkeypatch.setattr(external, "run_in_child", lambda _, file, **_more: readers.validate(file))
     found, skipped = external.fmpy(write(tmp_path / "F.fmu", {MODEL: xml.bytes()}), tmp_path)
     assert any(expected in text for _, text in found), found
     assert skipped == []

@@ -39,7 +39,7 @@ def bad(source_fmu, tmp_path):
 
 
 RECORD = "record: unchanged since its export."
-NO_VDMCHECK = "not run: VDMCheck2: --vdmcheck names no folder of it."
+NO_VDMCHECK = "not run: VDMCheck2: --vdmcheck names no folder."
 PLATFORMS = "platforms: linux64; no binary for tools on Windows and macOS."
 PROBLEM = "modelDescription.xml: it holds '/home/anna/x'"
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from fmu_src.check import archive, binaries, external
 from fmu_src.check.run import Report, check
-from fmu_src.run.instance import DiedError
+from hesr_model.support.process import DiedError
 
 pytestmark = pytest.mark.ci
 
@@ -27,7 +27,7 @@ def alone(monkeypatch):
         raise DiedError("was not run")
 
     for module in (archive, binaries, external):
-        monkeypatch.setattr(module, "run_in_sandbox", not_run)
+        monkeypatch.setattr(module, "run_in_child", not_run)
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,371 @@
+"""Process of a child, which limits itself, then runs functions by name or a server.
+
+Its arguments are numbers and texts as JSON, see `ChildArguments`. On Linux it is four processes:
+this one, one that enters new namespaces, the first one there, which waits for the end of the parent
+or the child, and the child, which alone handles foreign code and files. A nursery forks children.
+
+Messages are JSON after their length.
+"""
+
+import importlib
+import json
+import os
+import select
+import signal
+import socket
+import struct
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple, NoReturn
+
+from hesr_model.support import rights
+
+MAX_FILE_BYTES = 1 << 30
+MAX_OPEN_FILES = 256  # at a time
+MAX_THREADS = 512
+MAX_MESSAGE_LENGTH = 2000  # characters
+LENGTH = struct.Struct("!I")
+_STATUS = struct.Struct("=i")  # of an ended process
+_ENTERED = b"E"  # the namespaces, before the status
+_POLL_PERIOD = 50  # [ms]
+_IS_ENDED = getattr(os, "WEXITED", 0) | getattr(os, "WNOHANG", 0) | getattr(os, "WNOWAIT", 0)
+
+
+class ChildArguments(NamedTuple):
+    """Connection (file number), what can be read, limit [B], server and modules."""
+
+    connection: int
+    readable: list[str]
+    memory: int
+    server: str
+    modules: list[str]
+
+
+class Connection:
+    """Requests and answers, by reading and writing only: calls of sockets are refused."""
+
+    def __init__(self, number: int) -> None:
+        self._number = number
+        self._requests: BinaryIO
+        self._socket = None
+        if sys.platform == "win32":  # a handle, which is no file
+            self._socket = socket.socket(fileno=number)
+            self._requests = self._socket.makefile("rb")
+        else:
+            self._requests = os.fdopen(number, "rb", closefd=False)
+
+    def receive(self) -> Any:
+        """Return the next request, None at the end."""
+        header = self._requests.read(LENGTH.size)
+        if len(header) < LENGTH.size:
+            return None
+        return json.loads(self._requests.read(*LENGTH.unpack(header)))
+
+    def send(self, reply: object) -> None:
+        """Send an answer."""
+        answer = json.dumps(reply).encode()
+        unsent = memoryview(LENGTH.pack(len(answer)) + answer)
+        if self._socket is not None:
+            self._socket.sendall(unsent)
+            return
+        while unsent:
+            unsent = unsent[os.write(self._number, unsent) :]
+
+
+Answerer = Callable[[Any], Any]
+
+
+def serve(connection: Connection, answer: Answerer | None = None) -> None:
+    """Answer requests to run functions, and others by `answer`."""
+    process_id = os.getpid()
+    while (request := connection.receive()) is not None:
+        if "run" in request:
+            reply = _run(*request["run"])
+        else:
+            assert answer is not None, request
+            reply = answer(request)
+        if os.getpid() != process_id:  # foreign code has forked: one process answers
+            os._exit(0)
+        connection.send(reply)
+
+
+def _run(function: str, *arguments: Any) -> dict[str, Any]:
+    module, _, name = function.partition(":")
+    try:
+        return {"result": getattr(importlib.import_module(module), name)(*arguments)}
+    except Exception as error:
+        return {"raised": f"{type(error).__name__}: {error}"[:MAX_MESSAGE_LENGTH]}
+
+
+def _limit_core_dumps() -> None:
+    """Write no core files, also not of the processes that end as the child has ended."""
+    with suppress(ImportError):
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def _limit(memory: int) -> None:
+    """Set limits of this process."""
+    if sys.platform == "win32":  # it has no such limits
+        return
+    import resource
+
+    limits = [
+        (resource.RLIMIT_AS, memory + _measure_address_space()),
+        (resource.RLIMIT_FSIZE, MAX_FILE_BYTES),
+        (resource.RLIMIT_NOFILE, MAX_OPEN_FILES),
+    ]
+    if sys.platform == "linux":
+        limits += [(resource.RLIMIT_MSGQUEUE, 0), (resource.RLIMIT_MEMLOCK, 1 << 16)]
+    for kind, limit in limits:
+        # A lower limit may be set already.
+        hard = resource.getrlimit(kind)[1]
+        effective_limit = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
+        resource.setrlimit(kind, (effective_limit, effective_limit))
+
+
+def _measure_address_space() -> int:
+    """Return the address space [B] of Python and the libraries that are loaded already."""
+    with suppress(OSError, ValueError):
+        pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[0]
+        return int(pages) * os.sysconf("SC_PAGE_SIZE")
+    return 0
+
+
+def _limit_threads() -> bool:
+    """Limit the threads of the new namespaces; return whether that holds."""
+    # An administrator is exempt from the first limit. The second one is of a namespace from Linux
+    # 6.14 on; before, it cannot be written here.
+    if os.getuid() != 0:
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_NPROC, (MAX_THREADS, MAX_THREADS))
+        return True
+    try:
+        Path("/proc/sys/kernel/pid_max").write_text(str(MAX_THREADS), encoding="ascii")
+    except OSError:
+        return False
+    return True
+
+
+def _enter_supervision(*child_files: int) -> list[str]:
+    """Fork; return in the child the names of the mechanisms that hold. Linux only.
+
+    This process ends as the child does. The other processes close the files of the child.
+    """
+    status_reader, status_writer = os.pipe()
+    rights.adopt_orphans()
+    enters = os.fork() == 0
+    if enters:
+        _supervise_in_namespaces(status_writer, child_files)
+    else:
+        os.close(status_writer)
+        if os.read(status_reader, len(_ENTERED)):
+            _close(child_files)
+            packed = os.read(status_reader, _STATUS.size).ljust(_STATUS.size, b"\xff")
+            _end_as(*_STATUS.unpack(packed))
+        os.close(status_reader)
+        # Without namespaces this process supervises.
+        child = os.fork()
+        if child:
+            _close(child_files)
+            status = _watch(child)
+            _kill_descendants()
+            _end_as(status)
+        rights.end_with_parent()
+        return []
+    os.close(status_reader)
+    return [rights.NAMESPACES.name, *([rights.THREADS.name] if _limit_threads() else [])]
+
+
+def _supervise_in_namespaces(status_writer: int, child_files: Sequence[int]) -> None:
+    """Enter namespaces; return in the child. The pipe gets its status, or ends without."""
+    rights.end_with_parent()
+    if not rights.enter_namespaces():
+        os._exit(0)
+    os.write(status_writer, _ENTERED)
+    if init := os.fork():
+        _close((status_writer, *child_files))
+        os.waitpid(init, 0)
+        os._exit(0)
+    rights.end_with_parent()
+    if child := os.fork():
+        _close(child_files)
+        os.write(status_writer, _STATUS.pack(_watch(child)))
+        os._exit(0)  # the kernel ends all others in the namespace
+    os.close(status_writer)
+
+
+def _close(files: Sequence[int]) -> None:
+    for file in files:
+        os.close(file)
+
+
+def _watch(child: int) -> int:
+    """Return the status of a child that has ended by itself, or is killed with the parent."""
+    period = None
+    poll = select.poll()
+    poll.register(0, select.POLLHUP)
+    try:
+        poll.register(os.pidfd_open(child), select.POLLIN)
+    except OSError:  # before Linux 5.3
+        period = _POLL_PERIOD
+    while not poll.poll(period) and not os.waitid(os.P_PID, child, _IS_ENDED):
+        pass
+    os.kill(child, signal.SIGKILL)  # not reaped: the number is still its own
+    return os.waitpid(child, 0)[1]
+
+
+def _kill_descendants() -> None:
+    """Kill all processes that are left below this one."""
+    task = Path(f"/proc/self/task/{threading.get_native_id()}/children")
+    with suppress(OSError):  # it ends when there are none, or where the kernel does not list them
+        while True:
+            for number in task.read_text(encoding="ascii").split():
+                os.kill(int(number), signal.SIGKILL)
+            os.waitpid(-1, 0)
+
+
+def _end_as(status: int) -> NoReturn:
+    """End this process as another one has ended, -1 if its status is unknown."""
+    if status == -1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if os.WIFSIGNALED(status):
+        number = os.WTERMSIG(status)
+        with suppress(OSError):
+            signal.signal(number, signal.SIG_DFL)
+        os.kill(os.getpid(), number)
+    os._exit(os.waitstatus_to_exitcode(status) & 0xFF)
+
+
+def _end_with_input() -> None:
+    """End this process and its group when the parent closes the standard input."""
+    with suppress(OSError):
+        while os.read(0, 1):
+            pass
+    if hasattr(os, "killpg"):
+        os.killpg(os.getpgrp(), signal.SIGKILL)
+    os._exit(1)
+
+
+def _become_child(arguments: ChildArguments, report: int) -> NoReturn:
+    """Limit this process, report the mechanisms that hold, and serve."""
+    _limit_core_dumps()
+    held = []
+    if sys.platform == "linux":
+        held += _enter_supervision(arguments.connection, report)
+        with Path(os.devnull).open("rb") as nothing:
+            os.dup2(nothing.fileno(), 0)
+        rights.drop_capabilities()
+    _limit(arguments.memory)
+    held += rights.give_up(Path.cwd(), [Path(path) for path in arguments.readable])
+    os.write(report, json.dumps(held).encode() + b"\n")
+    os.close(report)
+    if sys.platform != "linux":
+        threading.Thread(target=_end_with_input, daemon=True).start()
+    for name in arguments.modules:  # while the parent works
+        importlib.import_module(name)
+    module, _, function = arguments.server.partition(":")
+    getattr(importlib.import_module(module), function)(Connection(arguments.connection))
+    sys.exit(0)
+
+
+def main() -> None:
+    """Be a child, or a nursery of children."""
+    first, *others = json.loads(sys.argv[1])
+    if not others:
+        _serve_forks(first)
+    # The other end of the standard output is read before anything foreign is handled.
+    report = os.dup(1)
+    with Path(os.devnull).open("r+b") as nothing:
+        os.dup2(nothing.fileno(), 1)
+    _become_child(ChildArguments(first, *others), report)
+
+
+class Fork(NamedTuple):
+    """A request to a nursery; connection, input, report and link come with it as open files."""
+
+    arguments: list[Any]
+    folder: str
+    environment: dict[str, str]
+    module_folders: list[str]
+
+
+MAX_REQUEST_BYTES = 1 << 17
+FORK_FILES = 4
+
+
+def _serve_forks(control: int) -> NoReturn:
+    """Fork a child for each request; Python and modules are loaded once for all.
+
+    Nothing foreign is handled here. A link gets the status of its child; at its end, and at that of
+    `control`, the child is killed.
+    """
+    requests = socket.socket(fileno=control)
+    poll = select.poll()
+    poll.register(requests, select.POLLIN)
+    children: dict[int, tuple[int, int, int]] = {}  # by both files: child, its PID file, link
+    while True:
+        ready = poll.poll()[0][0]  # one at a time: files that are closed get their numbers anew
+        if ready == control:
+            data, files, _, _ = socket.recv_fds(requests, MAX_REQUEST_BYTES, FORK_FILES)
+            if not data:
+                for child, _, _ in children.values():
+                    _kill_group(child)
+                os._exit(0)
+            connection, lifeline, report, link = files
+            request = Fork(*json.loads(data))
+            _load(request)
+            child = os.fork()
+            if child == 0:
+                os.setsid()
+                _close([control, link, *children])
+                _start_child(request, connection, lifeline, report)
+            _close([connection, lifeline, report])
+            process = os.pidfd_open(child)
+            children |= dict.fromkeys((process, link), (child, process, link))
+            for file in (process, link):
+                poll.register(file, select.POLLIN)
+            continue
+        child, process, link = children[ready]
+        if ready == link:
+            _kill_group(child)
+        status = os.waitpid(child, 0)[1]
+        with suppress(OSError):
+            os.write(link, _STATUS.pack(status))
+        for file in (process, link):
+            poll.unregister(file)
+            del children[file]
+        _close([process, link])
+
+
+def _load(request: Fork) -> None:
+    """Import the modules of a child here, so that later ones have them at once."""
+    sys.path += [path for path in request.module_folders if path not in sys.path]
+    arguments = ChildArguments(0, *request.arguments)
+    for name in (arguments.server.partition(":")[0], *arguments.modules):
+        with suppress(Exception):  # the child reports it
+            importlib.import_module(name)
+
+
+def _start_child(request: Fork, connection: int, lifeline: int, report: int) -> NoReturn:
+    try:
+        os.dup2(lifeline, 0)
+        os.close(lifeline)
+        os.chdir(request.folder)
+        os.environ.clear()
+        os.environ.update(request.environment)
+        _become_child(ChildArguments(connection, *request.arguments), report)
+    finally:
+        os._exit(1)
+
+
+def _kill_group(child: int) -> None:
+    with suppress(OSError):
+        os.killpg(child, signal.SIGKILL)
+    with suppress(OSError):  # before it has its own group
+        os.kill(child, signal.SIGKILL)

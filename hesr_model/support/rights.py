@@ -1,0 +1,309 @@
+"""Rights that a process for foreign code or files gives up on Linux, before it handles them.
+
+Landlock limits files and signals, seccomp system calls; both hold for all threads started later and
+cannot be undone. Namespaces hide other processes and their objects.
+"""
+
+import ctypes
+import os
+import platform
+import struct
+import sys
+import sysconfig
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+_LANDLOCK = 444  # system calls: create_ruleset, add_rule, restrict_self
+_READ = 1 << 2 | 1 << 3
+_EXECUTE = 1  # access rights: files and folders, programs
+_FILE = 1 << 1 | 1 << 2 | 1 << 14 | 1 << 15  # of single files: write, read, truncate, control
+_RIGHTS = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}  # number of rights by version of Landlock
+_SCOPED = 3  # abstract sockets and signals, from version 6
+_NO_NEW_PRIVILEGES = 38
+_SECCOMP = 22
+_FILTER = 2
+_NAMESPACES = 0x10000000 | 0x20000000 | 0x08000000 | 0x40000000  # users, PIDs, IPC, network
+_CAPABILITIES_VERSION = 0x20080522
+
+_SYSTEM = ("/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/etc/localtime", "/proc/self",
+           "/proc/cpuinfo", "/proc/meminfo", "/proc/stat", "/sys/devices/system/cpu")  # fmt: skip
+_DEVICES = ("/dev/null", "/dev/zero", "/dev/random", "/dev/urandom")
+
+_PROCESSORS = {"x86_64": (0, 0xC000003E), "aarch64": (1, 0xC00000B7)}  # column below, AUDIT_ARCH
+CALLS: dict[str, tuple[int | None, int | None]] = {
+    # Files.
+    "read": (0, 63), "write": (1, 64), "readv": (19, 65), "writev": (20, 66), "pread64": (17, 67),
+    "pwrite64": (18, 68), "preadv": (295, 69), "pwritev": (296, 70), "preadv2": (327, 286),
+    "pwritev2": (328, 287), "open": (2, None), "openat": (257, 56), "openat2": (437, 437),
+    "creat": (85, None), "close": (3, 57), "close_range": (436, 436), "lseek": (8, 62),
+    "stat": (4, None), "fstat": (5, 80), "lstat": (6, None), "newfstatat": (262, 79),
+    "statx": (332, 291), "statfs": (137, 43), "fstatfs": (138, 44), "access": (21, None),
+    "faccessat": (269, 48), "faccessat2": (439, 439), "readlink": (89, None),
+    "readlinkat": (267, 78), "getcwd": (79, 17), "chdir": (80, 49), "fchdir": (81, 50),
+    "getdents": (78, None), "getdents64": (217, 61), "mkdir": (83, None), "mkdirat": (258, 34),
+    "rmdir": (84, None), "unlink": (87, None), "unlinkat": (263, 35), "rename": (82, None),
+    "renameat": (264, 38), "renameat2": (316, 276), "symlink": (88, None), "symlinkat": (266, 36),
+    "truncate": (76, 45), "ftruncate": (77, 46), "fallocate": (285, 47), "fadvise64": (221, 223),
+    "fsync": (74, 82), "fdatasync": (75, 83), "sendfile": (40, 71), "copy_file_range": (326, 285),
+    "umask": (95, 166), "dup": (32, 23), "dup2": (33, None), "dup3": (292, 24), "pipe": (22, None),
+    "pipe2": (293, 59),
+    # Waiting for files.
+    "poll": (7, None), "ppoll": (271, 73), "select": (23, None), "pselect6": (270, 72),
+    "epoll_create": (213, None), "epoll_create1": (291, 20), "epoll_ctl": (233, 21),
+    "epoll_wait": (232, None), "epoll_pwait": (281, 22), "epoll_pwait2": (441, 441),
+    "eventfd": (284, None), "eventfd2": (290, 19),
+    # Memory.
+    "brk": (12, 214), "mmap": (9, 222), "munmap": (11, 215), "mremap": (25, 216),
+    "mprotect": (10, 226), "madvise": (28, 233), "msync": (26, 227), "mincore": (27, 232),
+    "membarrier": (324, 283),
+    # Threads.
+    "futex": (202, 98), "futex_waitv": (449, 449), "futex_wake": (454, 454),
+    "futex_wait": (455, 455), "futex_requeue": (456, 456), "set_tid_address": (218, 96),
+    "set_robust_list": (273, 99), "rseq": (334, 293),
+    "sched_yield": (24, 124), "sched_getaffinity": (204, 123), "sched_get_priority_max": (146, 125),
+    "sched_get_priority_min": (147, 126), "getcpu": (309, 168), "gettid": (186, 178),
+    "exit": (60, 93), "exit_group": (231, 94),
+    # Time.
+    "nanosleep": (35, 101), "clock_nanosleep": (230, 115), "clock_gettime": (228, 113),
+    "clock_getres": (229, 114), "gettimeofday": (96, 169), "time": (201, None), "times": (100, 153),
+    "getitimer": (36, 102), "setitimer": (38, 103), "alarm": (37, None), "timer_create": (222, 107),
+    "timer_settime": (223, 110), "timer_gettime": (224, 108), "timer_getoverrun": (225, 109),
+    "timer_delete": (226, 111),
+    # Own signals.
+    "rt_sigaction": (13, 134), "rt_sigprocmask": (14, 135), "rt_sigreturn": (15, 139),
+    "rt_sigpending": (127, 136), "rt_sigsuspend": (130, 133), "rt_sigtimedwait": (128, 137),
+    "sigaltstack": (131, 132), "pause": (34, None), "restart_syscall": (219, 128),
+    "wait4": (61, 260), "waitid": (247, 95),
+    # Facts.
+    "getpid": (39, 172), "getppid": (110, 173), "getuid": (102, 174), "geteuid": (107, 175),
+    "getgid": (104, 176), "getegid": (108, 177), "getresuid": (118, 148), "getresgid": (120, 150),
+    "getgroups": (115, 158), "getpgrp": (111, None), "getpgid": (121, 155), "getsid": (124, 156),
+    "uname": (63, 160), "sysinfo": (99, 179), "getrlimit": (97, 163), "setrlimit": (160, 164),
+    "getrusage": (98, 165), "getrandom": (318, 278), "arch_prctl": (158, None), "capget": (125, 90),
+    # Arguments.
+    "ioctl": (16, 29), "fcntl": (72, 25), "clone": (56, 220), "clone3": (435, 435),
+    "prctl": (157, 167), "prlimit64": (302, 261), "kill": (62, 129), "tgkill": (234, 131),
+    "rt_sigqueueinfo": (129, 138), "rt_tgsigqueueinfo": (297, 240),
+}  # fmt: skip
+"""System calls that a library of numbers needs, with their numbers on x86_64 and aarch64.
+
+All others fail with EPERM, among them sockets, programs and processes, other processes' memory,
+shared memory and queues, priorities and affinity, keys, io_uring, bpf, performance counters, mounts
+and permissions of files.
+"""
+
+_THREAD = 0x10000
+# Threads in other namespaces, traced or with another parent.
+_FOREIGN_CLONES = 0x7E020000 | 0x1000 | 0x2000 | 0x4000 | 0x8000 | 0x800000
+_REQUESTS = (0x5401, 0x5413)  # of ioctl: attributes and size of a terminal
+_INHERITANCE = (0x5450, 0x5451)  # of ioctl: files of programs; Python uses fcntl after ENOTTY
+_COMMANDS = (0, 1, 2, 3, 4, 5, 6, 7, 36, 37, 38, 1030)  # of fcntl: copies, flags and locks
+_OPTIONS = (15, 16, 23, 0x53564D41)  # of prctl: names of threads and memory, read capabilities
+_OF_ITSELF = ("kill", "tgkill", "rt_sigqueueinfo", "rt_tgsigqueueinfo")  # first argument: a process
+
+_LOAD = 0x20
+_EQUAL = 0x15
+_ANY = 0x45
+_RETURN = 0x06  # instructions
+_ALLOW = 0x7FFF0000
+_REFUSE = 0x00050001
+_MISSING = 0x00050026  # results: EPERM, ENOSYS
+_NO_TERMINAL = 0x00050019  # ENOTTY
+_NUMBER = 0
+_PROCESSOR = 4
+_FIRST = 16
+_SECOND = 24  # places in the data of a filter
+
+
+class Mechanism(NamedTuple):
+    """A mechanism of the kernel, and what foreign code can do without it."""
+
+    name: str
+    risk: str
+
+
+LANDLOCK = Mechanism("Landlock", "read and write your files")
+SECCOMP = Mechanism(
+    "seccomp", "start programs, use the network and shared memory, and send signals"
+)
+NAMESPACES = Mechanism("namespaces", "see your other processes")
+THREADS = Mechanism("thread limit", "start any number of threads")
+MECHANISMS = (LANDLOCK, SECCOMP, NAMESPACES, THREADS)
+
+
+def give_up(writable: Path, readable: Sequence[Path]) -> list[str]:
+    """Give up all rights but to compute, to write below a folder, and to read there and elsewhere.
+
+    The system's and Python's own files can still be read. Returns the names of the mechanisms.
+    Raises OSError.
+    """
+    if sys.platform != "linux":
+        return []
+    held = []
+    _control(_NO_NEW_PRIVILEGES, 1)
+    if get_landlock_version() >= 1:
+        _restrict_files(writable, [*readable, *_list_python_folders(), *map(Path, _SYSTEM)])
+        held.append(LANDLOCK.name)
+    if has_seccomp():
+        _restrict_calls()
+        held.append(SECCOMP.name)
+    return held
+
+
+def enter_namespaces() -> bool:
+    """Enter new namespaces of users, processes, IPC and network; return whether all is well.
+
+    Processes started later are in the new namespace of processes. After False the caller must end,
+    since it may have no name for its user.
+    """
+    user, group = os.getuid(), os.getgid()
+    if _library().unshare(_NAMESPACES) != 0:
+        return False
+    try:
+        Path("/proc/self/setgroups").write_text("deny", encoding="ascii")
+        Path("/proc/self/uid_map").write_text(f"{user} {user} 1", encoding="ascii")
+        Path("/proc/self/gid_map").write_text(f"{group} {group} 1", encoding="ascii")
+    except OSError:
+        return False
+    return True
+
+
+def drop_capabilities() -> None:
+    """Drop the rights of an administrator, which the new namespace of users has given."""
+    header = struct.pack("<Ii", _CAPABILITIES_VERSION, 0)
+    if _library().capset(header, bytes(24)) != 0:
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+
+
+def end_with_parent() -> None:
+    """Let the kernel kill this process at the end of its parent."""
+    _control(1, 9)  # PR_SET_PDEATHSIG, SIGKILL
+
+
+def adopt_orphans() -> None:
+    """Become the parent of all descendants whose parents end."""
+    _control(36, 1)  # PR_SET_CHILD_SUBREAPER
+
+
+def _library() -> ctypes.CDLL:
+    return ctypes.CDLL(None, use_errno=True)
+
+
+def _call(*arguments: object) -> int:
+    result: int = _library().syscall(*map(_long, arguments))
+    if result < 0:
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+    return result
+
+
+def _long(argument: object) -> object:
+    return ctypes.c_long(argument) if isinstance(argument, int) else argument
+
+
+def _control(*arguments: object) -> None:
+    padded = [*map(_long, arguments), *[ctypes.c_long(0)] * (5 - len(arguments))]
+    if _library().prctl(*padded) != 0:
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+
+
+def get_landlock_version() -> int:
+    """Return the version of Landlock, 0 without it."""
+    if sys.platform != "linux":
+        return 0
+    try:
+        return _call(_LANDLOCK, None, 0, 1)
+    except OSError:
+        return 0
+
+
+def has_seccomp() -> bool:
+    """Return whether system calls can be filtered on this kernel and processor."""
+    if sys.platform != "linux" or platform.machine() not in _PROCESSORS:
+        return False
+    try:
+        _control(_SECCOMP, _FILTER, None)
+    except OSError as error:
+        return error.errno == 14  # EFAULT: it would read the filter
+    return False
+
+
+def _list_python_folders() -> Iterator[Path]:
+    """Yield folders of modules and libraries, but none that contains the user's home."""
+    home = Path(os.path.expanduser("~"))  # noqa: PTH111  # never fails
+    folder_names = [*sys.path, sys.prefix, sys.base_prefix, *sysconfig.get_paths().values()]
+    folder_names += os.environ.get("LD_LIBRARY_PATH", "").split(":")
+    for path in {Path(name) for name in folder_names if name}:
+        if not home.is_relative_to(path):
+            yield path
+
+
+def _restrict_files(writable: Path, readable: Sequence[Path]) -> None:
+    version = get_landlock_version()
+    rights = (1 << _RIGHTS[min(version, max(_RIGHTS))]) - 1
+    scoped = _SCOPED if version >= 6 else 0
+    about = struct.pack("<QQQ", rights, 0, scoped)[: 24 if scoped else 8]
+    rules = _call(_LANDLOCK, about, len(about), 0)
+    try:
+        for paths, allowed in (
+            (readable, _READ),
+            (map(Path, _DEVICES), _READ | _FILE),
+            ([writable], rights & ~_EXECUTE),
+        ):
+            for path in paths:
+                with suppress(FileNotFoundError, PermissionError):
+                    _allow(rules, path, allowed & rights)
+        _call(_LANDLOCK + 2, rules, 0)
+    finally:
+        os.close(rules)
+
+
+def _allow(rules: int, path: Path, allowed: int) -> None:
+    handle = os.open(path, os.O_PATH | os.O_CLOEXEC)
+    try:
+        if not path.is_dir():
+            allowed &= _FILE
+        _call(_LANDLOCK + 1, rules, 1, struct.pack("<Qi", allowed, handle), 0)
+    finally:
+        os.close(handle)
+
+
+def _restrict_calls() -> None:
+    """Refuse all system calls but `CALLS`; clone3, whose flags are hidden, does not exist."""
+    column, processor = _PROCESSORS[platform.machine()]
+    numbers = {name: row[column] for name, row in CALLS.items()}
+    steps = [
+        (_LOAD, _PROCESSOR), (_EQUAL, processor, 1, 0), (_RETURN, _REFUSE), (_LOAD, _NUMBER),
+    ]  # fmt: skip
+    checks: dict[str, list[tuple[int, ...]]] = {
+        "clone3": [(_RETURN, _MISSING)],
+        "clone": [(_LOAD, _FIRST), (_ANY, _THREAD, 1, 0), (_RETURN, _REFUSE),
+                  (_ANY, _FOREIGN_CLONES, 0, 1), (_RETURN, _REFUSE), (_RETURN, _ALLOW)],
+        "ioctl": [(_LOAD, _SECOND), (_EQUAL, _INHERITANCE[0], 1, 0),
+                  (_EQUAL, _INHERITANCE[1], 0, 1), (_RETURN, _NO_TERMINAL),
+                  *_require_value(_SECOND, _REQUESTS)],
+        "fcntl": _require_value(_SECOND, _COMMANDS),
+        "prctl": _require_value(_FIRST, _OPTIONS),
+        "prlimit64": _require_value(_FIRST, (0, os.getpid())),
+    }  # fmt: skip
+    checks |= {name: _require_value(_FIRST, (os.getpid(),)) for name in _OF_ITSELF}
+    for name, number in numbers.items():
+        if number is not None:
+            check = checks.get(name, [(_RETURN, _ALLOW)])
+            steps += [(_EQUAL, number, 0, len(check)), *check]
+    steps.append((_RETURN, _REFUSE))
+    code = b"".join(struct.pack("<HBBI", step[0], *(step[2:] or (0, 0)), step[1]) for step in steps)
+    code_buffer = ctypes.create_string_buffer(code, len(code))
+    program = struct.pack("<HxxxxxxQ", len(steps), ctypes.addressof(code_buffer))
+    _control(_SECCOMP, _FILTER, program)
+
+
+def _require_value(place: int, values: Sequence[int]) -> list[tuple[int, ...]]:
+    """Return instructions that allow a call whose argument is one of some values.
+
+    The lower half of the argument is compared, since the kernel ignores the upper one.
+    """
+    count = len(values)
+    comparisons = [(_EQUAL, value, count - k, 0) for k, value in enumerate(values)]
+    return [(_LOAD, place), *comparisons, (_RETURN, _REFUSE), (_RETURN, _ALLOW)]
