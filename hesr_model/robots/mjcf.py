@@ -1,10 +1,15 @@
-"""Model files as MuJoCo compiles them, and its inverse dynamics to check robots against."""
+"""Model files as MuJoCo compiles them, and its inverse dynamics to check robots against.
+
+A child process compiles each file first: MuJoCo cannot be interrupted, and small files can ask it
+for any amount of time and memory.
+"""
 
 import json
-import re
+import math
+import os
 import shutil
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -13,14 +18,29 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
+from pydantic import BaseModel, ValidationError
 
 from hesr_model.errors import ConfigError, RobotError
 from hesr_model.robots.urdf import UNLIMITED, read_urdf
 from hesr_model.support.arrays import Array
 from hesr_model.support.cache import compute_once
-from hesr_model.support.text import on_one_line
+from hesr_model.support.child import run_in_child
+from hesr_model.support.files import scratch_folder
+from hesr_model.support.process import DiedError
+from hesr_model.support.text import on_one_line, quote, sanitise
 
 _MAX_PARTS = 15_000  # per MJCF; compile time grows with the square, to 7 s here
+_MAX_CELLS = 1 << 26  # of height fields and textures, in total
+_MAX_SIZE = 1 << 60  # larger numbers in a file are this
+_SECONDS = 20.0  # to compile a file
+_MAX_MEMORY = 2 << 30  # to compile a file [B]
+_MAX_MESSAGE_LENGTH = 1000  # characters of a child's
+_TRIAL = "1"  # version of what a trial does
+FILE_ATTRIBUTES = (
+    *("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback"),
+)
+"""Attributes of an MJCF that name a file."""
+
 _MIN_INERTIA = 1e-9  # mass and inertia of the links of a URDF for MuJoCo [kg, kg.m2]
 _STATE_COUNT = 8  # random states of the check
 Compiled = dict[str, Any]  # a compiled file as JSON; see `_describe_model`
@@ -42,7 +62,7 @@ def compile_model(path: Path) -> Any:
         raise ConfigError(f"{path}: no such model file.")
     if is_urdf(path):
         return compile_spec(path)
-    _require_an_end(path)
+    _require_compilable(path)
     with _report_refusal(path):
         return import_engine().MjModel.from_xml_path(str(path))
 
@@ -51,10 +71,12 @@ def compile_spec(path: Path, change: Callable[[Any], None] = lambda _: None) -> 
     """Return the changed MuJoCo model of a file; a URDF has no appearance and no contacts."""
     with _report_refusal(path), warnings.catch_warnings(action="ignore"):  # deprecated attributes
         if is_urdf(path):
-            spec = import_engine().MjSpec.from_string(read_urdf(path, path.read_bytes()).text)
-            spec.compiler.balanceinertia = True  # MuJoCo refuses what rounding makes impossible
-            spec.compiler.boundmass = spec.compiler.boundinertia = _MIN_INERTIA
+            text = read_urdf(path, path.read_bytes()).text
+            _require_success(path, _try_once([text], "text", text, ()))
+            spec = import_engine().MjSpec.from_string(text)
+            _soften_urdf(spec)
         else:
+            _require_compilable(path)
             spec = import_engine().MjSpec.from_file(str(path))
         change(spec)
         return spec.compile()
@@ -78,8 +100,8 @@ def _report_refusal(path: Path) -> Iterator[None]:
 def compile_robot(path: Path) -> Compiled:
     """Return an MJCF without its appearance; RobotError if MuJoCo cannot compile it."""
     try:
-        _require_an_end(path)
-        compiled_tree = _compile_once(_list_content(path), lambda: _strip_mjcf(path))
+        files = _require_an_end(path)
+        compiled_tree = _describe_once(_list_content(path), "file", str(path), files)
     except ConfigError as error:
         raise RobotError(str(error)) from error
     if "refusal" in compiled_tree:
@@ -89,39 +111,155 @@ def compile_robot(path: Path) -> Compiled:
 
 def compute_urdf_torques(text: str) -> Compiled | None:
     """Return MuJoCo's torques of a URDF without meshes, None if MuJoCo cannot compile it."""
-
-    def read() -> Any:
-        spec = import_engine().MjSpec.from_string(text)
-        # MuJoCo splits a planar joint into three, which the file does not name: they stay at rest.
-        for body in spec.bodies:
-            if len(body.joints) > 1:
-                for joint in list(body.joints):
-                    spec.delete(joint)
-        return spec
-
-    return _compile_once([text], read).get("check")
+    return _describe_once([text], "text", text, ()).get("check")
 
 
-def _compile_once(content: Iterable[str | bytes], read: Callable[[], Any]) -> Compiled:
+def _describe_once(
+    content: Iterable[str | bytes], kind: str, source: str, files: Sequence[Path]
+) -> Compiled:
+    """Return what `describe_model` returns in a child, computed once for each content."""
+
     def make() -> bytes:
-        try:
-            with warnings.catch_warnings(action="ignore"):  # deprecated attributes
-                spec = read()
-                spec.compiler.fusestatic = False
-                compiled_tree = _describe_model(spec.compile())
-        except (ValueError, RuntimeError) as error:
-            compiled_tree = {"refusal": on_one_line(error)}
+        compiled_tree = _run_in_child("describe_model", kind, source, files)
+        if "unusable" in compiled_tree:
+            raise RobotError(sanitise(str(compiled_tree["unusable"]), _MAX_MESSAGE_LENGTH))
         return json.dumps(compiled_tree).encode()
 
     key: list[str | bytes] = [Path(__file__).read_bytes(), version("mujoco"), *content]
     compiled_tree: Compiled = json.loads(compute_once("robots", key, make))
-    return compiled_tree
+    if "refusal" in compiled_tree:
+        return {"refusal": str(compiled_tree["refusal"])}
+    return _require_form(compiled_tree)
+
+
+def _require_form(compiled_tree: Compiled) -> Compiled:
+    """Return the description of a model if it is numbers and texts of the known form."""
+    try:
+        return _Description.model_validate(compiled_tree).model_dump()
+    except ValidationError as error:
+        raise RobotError("MuJoCo gave an invalid answer about a model.") from error
+
+
+class _Torques(BaseModel):
+    joints: list[str]
+    q: list[list[float]]
+    dq: list[list[float]]
+    ddq: list[list[float]]
+    torques: list[list[float]]
+
+
+class _Description(BaseModel):
+    """What `_describe_model` returns."""
+
+    urdf: str
+    gravity: tuple[float, float, float]
+    rest: dict[str, float]
+    armature: dict[str, float]
+    springs: dict[str, tuple[float, float]]
+    loops: list[tuple[str, str]]
+    check: _Torques
+
+
+def _require_compilable(path: Path) -> None:
+    """Raise ConfigError unless a child can compile an MJCF within its limits."""
+    files = _require_an_end(path)
+    _require_success(path, _try_once(_list_content(path), "file", str(path), files))
+
+
+def _try_once(content: Iterable[str | bytes], kind: str, source: str, files: Sequence[Path]) -> str:
+    def make() -> bytes:
+        return str(_run_in_child("try_model", kind, source, files)).encode()
+
+    key: list[str | bytes] = [_TRIAL, version("mujoco"), kind, *content]
+    return compute_once("trials", key, make).decode()
+
+
+def _require_success(path: Path, refusal: str) -> None:
+    if refusal:
+        kind = "a URDF" if is_urdf(path) else "an MJCF"
+        raise ConfigError(f"{path}: cannot be compiled as {kind} ({sanitise(refusal, 400)}).")
+
+
+def _run_in_child(function: str, kind: str, source: str, files: Sequence[Path]) -> Any:
+    """Return the answer of a function of this module; raises ConfigError if the child ends."""
+    readable = [Path(source).parent, *files] if kind == "file" else list(files)
+    with scratch_folder() as folder:
+        try:
+            return run_in_child(
+                f"{__name__}:{function}",
+                kind,
+                source,
+                str(Path.cwd()),
+                folder=folder,
+                seconds=_SECONDS,
+                memory=_MAX_MEMORY,
+                readable=readable or [folder],
+                modules=("mujoco", "pinocchio"),
+            )
+        except DiedError as error:
+            subject = source if kind == "file" else "a URDF"
+            raise ConfigError(f"{subject}: cannot be compiled (MuJoCo {error}).") from error
+
+
+def describe_model(kind: str, source: str, folder: str) -> dict[str, Any]:
+    """Return a compiled model, of a file relative to a folder or of the text of a URDF.
+
+    Called in a child. A model that MuJoCo refuses gives its reason.
+    """
+    os.chdir(folder)
+    try:
+        with warnings.catch_warnings(action="ignore"):  # deprecated attributes
+            spec = _strip_mjcf(Path(source)) if kind == "file" else _read_rigid_urdf(source)
+            spec.compiler.fusestatic = False
+            return _describe_model(spec.compile())
+    except RobotError as error:
+        return {"unusable": str(error)}
+    except (ValueError, RuntimeError) as error:
+        return {"refusal": on_one_line(error)}
+
+
+def try_model(kind: str, source: str, folder: str) -> str:
+    """Compile a model as `compile_model` does, and return why it is refused. Called in a child."""
+    os.chdir(folder)
+    mujoco = import_engine()
+    try:
+        with warnings.catch_warnings(action="ignore"):  # deprecated attributes
+            specs = mujoco.MjSpec
+            spec = specs.from_file(source) if kind == "file" else specs.from_string(source)
+            if kind == "text":
+                _soften_urdf(spec)
+            mujoco.MjData(spec.compile())
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
+        return on_one_line(error)
+    return ""
+
+
+def _soften_urdf(spec: Any) -> None:
+    spec.compiler.balanceinertia = True  # MuJoCo refuses what rounding makes impossible
+    spec.compiler.boundmass = spec.compiler.boundinertia = _MIN_INERTIA
+
+
+def _read_rigid_urdf(text: str) -> Any:
+    spec = import_engine().MjSpec.from_string(text)
+    # MuJoCo splits a planar joint into three, which the file does not name: they stay at rest.
+    for body in spec.bodies:
+        if len(body.joints) > 1:
+            for joint in list(body.joints):
+                spec.delete(joint)
+    return spec
+
+
+def list_shape_meshes(kind: str, source: str, folder: str) -> list[str]:
+    """Return the names of the meshes that masses come from. Called in a child."""
+    assert kind == "file"
+    os.chdir(folder)
+    return [mesh.name for mesh in _strip_mjcf(Path(source)).meshes]
 
 
 def _list_content(path: Path) -> Iterator[str | bytes]:
     yield (data := resolve_includes(path))
     root = _parse_root(path, data)
-    for _, file in _find_files(root, path.parent) if root is not None else ():
+    for _, _, file in _find_files(root, path.parent) if root is not None else ():
         yield f"{file} {file.stat().st_size} {file.stat().st_mtime_ns}"
 
 
@@ -149,7 +287,8 @@ def copy_model(path: Path, folder: Path) -> None:
     Other meshes, textures and height fields have no effect on torques and are left out.
     """
     data = resolve_includes(path)
-    mesh_names = {mesh.name for mesh in _strip_mjcf(path).meshes}
+    files = _require_an_end(path)
+    mesh_names = set(map(str, _run_in_child("list_shape_meshes", "file", str(path), files)))
     root = _parse_root(path, data) if mesh_names else None
     if root is not None:
         _copy_meshes(root, path.parent, mesh_names, folder)
@@ -160,7 +299,7 @@ def copy_model(path: Path, folder: Path) -> None:
 def _copy_meshes(root: Element, base: Path, mesh_names: set[str], folder: Path) -> None:
     """Copy meshes next to the copy of their model, whose elements then name them."""
     copies: dict[Element, Path] = {}
-    for element, file in _find_files(root, base):
+    for element, _, file in _find_files(root, base):
         name = element.get("name", Path(element.get("file", "")).stem)
         if element.tag == "mesh" and name in mesh_names and file.is_file():
             element.set("name", name)
@@ -188,34 +327,93 @@ def _include(element: Element, base: Path, included: set[Path]) -> None:
             element[k : k + 1] = list(inner)
 
 
-def _find_files(root: Element, base: Path) -> Iterator[tuple[Element, Path]]:
+def _find_files(root: Element, base: Path) -> Iterator[tuple[Element, str, Path]]:
+    """Yield the elements, attributes and files that exist, in every folder that can be meant."""
     places = ("assetdir", "meshdir", "texturedir")
     folders = {e.get(kind, "") for e in root.iter("compiler") for kind in places}
     for element in root.iter():
-        for folder in sorted({"", *folders}) if (name := element.get("file")) else ():
-            file = base / folder / str(name)
-            if file.exists():
-                yield element, file
+        for attribute in FILE_ATTRIBUTES:
+            for folder in sorted({"", *folders}) if (name := element.get(attribute)) else ():
+                file = base / folder / str(name)
+                if file.exists():
+                    yield element, attribute, file
 
 
-def _require_an_end(path: Path) -> None:
-    """Reject endless copies and special files: MuJoCo cannot be interrupted."""
-    root = _parse_root(path, path.read_bytes())
+def _require_an_end(path: Path) -> list[Path]:
+    """Reject endless copies, huge fields and special files; return the files that are named."""
+    root = _parse_root(path, resolve_includes(path))
     if root is None:
-        return
-    parts = _count_parts(root)
-    if parts > _MAX_PARTS:
-        raise ConfigError(f"{path}: has {parts} elements; at most {_MAX_PARTS} can be compiled.")
-    for element, file in _find_files(root, path.parent):
-        if not file.is_file():
-            name = element.get("file")
-            raise ConfigError(f"{path}: names the file '{name}', which is not a regular file.")
+        return []
+    files = []
+    parts = 0
+    cells = 0
+    for model_root, folder in _list_models(root, path.parent, {path.resolve()}):
+        parts += _count_parts(model_root)
+        cells += sum(map(_count_cells, model_root.iter()))
+        for element, attribute, file in _find_files(model_root, folder):
+            if not file.is_file():
+                name = quote(element.get(attribute, ""))
+                raise ConfigError(f"{path}: names the file {name}, which is not a regular file.")
+            files.append(file)
+    for count, limit, noun in ((parts, _MAX_PARTS, "elements"), (cells, _MAX_CELLS, "cells")):
+        if count > limit:
+            raise ConfigError(f"{path}: has {count} {noun}; at most {limit} can be compiled.")
+    return files
+
+
+def _list_models(root: Element, folder: Path, known: set[Path]) -> Iterator[tuple[Element, Path]]:
+    """Yield a model and those that it attaches, with their folders; one for each attachment."""
+    yield root, folder
+    for element in root.iter("model"):
+        file = folder / element.get("file", "")
+        if not file.is_file() or file.resolve() in known:
+            continue
+        inner_root = _parse_root(file, resolve_includes(file))
+        if inner_root is not None:
+            copies = _count_attachments(root, element.get("name", ""))
+            inner_models = _list_models(inner_root, file.parent, known | {file.resolve()})
+            for inner in inner_models:
+                for _ in range(min(copies, _MAX_PARTS + 1)):
+                    yield inner
+
+
+def _count_attachments(element: Element, name: str) -> int:
+    """Return how often a model is attached below an element, at least once."""
+    count = sum(_count_attachments(child, name) for child in element if len(child))
+    count += sum(1 for child in element if child.tag == "attach" and child.get("model") == name)
+    return max(1, count) * (_read_size(element, "count") if element.tag == "replicate" else 1)
 
 
 def _count_parts(element: Element) -> int:
-    count = element.get("count", "") if element.tag == "replicate" else ""
-    copies = int(count) if re.fullmatch(r"\d{1,18}", count) else 1
+    """Return the number of elements, copies included, and of the vertices of flexible ones."""
+    size = _read_size(element, "count")
+    if element.tag in ("flexcomp", "composite"):
+        return 1 + size + sum(map(_count_parts, element))
+    copies = size if element.tag == "replicate" else 1
     return 1 + copies * sum(map(_count_parts, element))
+
+
+def _count_cells(element: Element) -> int:
+    """Return the number of heights of a field, or of pixels of a texture."""
+    if element.tag == "hfield":
+        return _read_size(element, "nrow") * _read_size(element, "ncol")
+    if element.tag == "texture":
+        width = _read_size(element, "width")
+        is_flat = element.get("type") == "2d"  # others have six sides
+        return width * (_read_size(element, "height") if is_flat else 6 * width)
+    return 0
+
+
+def _read_size(element: Element, attribute: str) -> int:
+    """Return the product of the numbers in an attribute; what is no number counts as 1."""
+    size = 1
+    for word in element.get(attribute, "").split():
+        try:
+            number = float(word)
+        except ValueError:
+            continue
+        size *= max(1, int(min(number, _MAX_SIZE))) if not math.isnan(number) else 1
+    return min(size, _MAX_SIZE)
 
 
 def _strip_mjcf(path: Path) -> Any:
