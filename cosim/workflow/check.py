@@ -114,7 +114,8 @@ def check(
     kind : str or sequence of str, optional
         Further checks: references (against the reference results that the file
         carries), hostile (odd and repeated steps, invalid calls), convention
-        (error of each input convention).
+        (error of each input convention), sandbox (what foreign code can do on
+        this machine, whatever the file).
     vdmcheck : path, optional
         Folder with VDMCheck2, which is not run without it.
     junit : path, optional

@@ -116,6 +116,7 @@ RULES: Mapping[str, Rule] = {
     "binary-path": Rule("warning", "libraries that do not find others next to them", _BINARIES),
     "machine-path": Rule("advice", "paths of the build machine, except in comments", "privacy"),
     "hostile": Rule("error", "failures under --kind hostile", "FMI 2: 2.1, 3.2, 4.2; FMI 3: 2.2"),
+    "sandbox": Rule("warning", "what foreign code can do here, by --kind sandbox", "hesr"),
     "references": Rule("error", "results other than those in the file", "FMI-LS-REF"),
     "ssp-structure": Rule("error", "parts that are missing or contradict FMUs", "SSP: 5 to 7"),
     "ssp-support": Rule("advice", "parts that 'hesr simulate' does not support", "SSP: 5"),

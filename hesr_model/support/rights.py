@@ -128,7 +128,7 @@ LANDLOCK = Mechanism("Landlock", "read and write your files")
 SECCOMP = Mechanism(
     "seccomp", "start programs, use the network and shared memory, and send signals"
 )
-NAMESPACES = Mechanism("namespaces", "see your other processes")
+NAMESPACES = Mechanism("namespaces", "see which processes run")
 THREADS = Mechanism("thread limit", "start any number of threads")
 MECHANISMS = (LANDLOCK, SECCOMP, NAMESPACES, THREADS)
 
