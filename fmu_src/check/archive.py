@@ -123,7 +123,9 @@ def schema_problems(name: str, file: Path, folder: Path) -> list[Problem]:
     """Return the schema violations of an XML file; time is limited, being quadratic in errors."""
     try:
         reader = "fmu_src.check.readers:compare"
-        violations = run_in_child(reader, str(file), folder=folder, seconds=SCHEMA_TIMEOUT)
+        violations = run_in_child(
+            reader, str(file), folder=folder, seconds=SCHEMA_TIMEOUT, modules=("lxml.etree",)
+        )
     except DiedError as error:
         text = f"{name}: it cannot be compared with the schema: the comparison {error}."
         return [("xsd", text)]

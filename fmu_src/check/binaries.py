@@ -202,7 +202,9 @@ def _check_library(
     folder: Path,
 ) -> Iterator[Problem]:
     try:
-        library = run_in_child(_READER, str(file), folder=folder, seconds=READER_TIMEOUT)
+        library = run_in_child(
+            _READER, str(file), folder=folder, seconds=READER_TIMEOUT, modules=("lief",)
+        )
     except DiedError as error:
         yield "binary-unreadable", f"its content could not be read: its reader {error}."
         return

@@ -38,7 +38,9 @@ def fmpy(copy: Path, folder: Path) -> tuple[list[Problem], list[str]]:
     """Return the problems that FMPy finds, and why it was not run."""
     try:
         reader = "fmu_src.check.readers:validate"
-        messages, failure = run_in_child(reader, str(copy), folder=folder, seconds=FMPY_SECONDS)
+        messages, failure = run_in_child(
+            reader, str(copy), folder=folder, seconds=FMPY_SECONDS, modules=("fmpy.validation",)
+        )
     except DiedError as error:
         return [], [f"FMPy {error}."]
     problems = [("fmpy", _add_difference(text)) for text in messages]

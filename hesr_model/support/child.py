@@ -375,7 +375,7 @@ class _Nursery:
 
     def _start(self) -> socket.socket:
         control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        with theirs:
+        try:
             nursery = ChildProcess(
                 _build_command([theirs.fileno()]),
                 Path("/"),
@@ -385,6 +385,11 @@ class _Nursery:
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
             )
+        except FailedError:
+            control.close()
+            raise
+        finally:
+            theirs.close()
         self._owner = os.getpid()
         atexit.register(self._close, control, nursery)
         return control

@@ -1,9 +1,10 @@
 """The C compiler, with cached results."""
 
 import hashlib
+import json
 import os
 import re
-import subprocess
+import sys
 from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from importlib.resources import files
@@ -13,8 +14,15 @@ from hesr_model.errors import ExportError
 from hesr_model.support.cache import compute_once
 from hesr_model.support.cache import folder as cache_folder
 from hesr_model.support.files import find_temporary_folder, require_room, room_for, scratch_folder
+from hesr_model.support.process import FailedError, python_command, run
 
 MISSING_COMPILER = "compiler.missing"  # code of an error
+_SECONDS = 600.0  # of a compilation; the first one also builds the C library
+_VARIABLES = ("PATH", "HOME", "SYSTEMROOT", "LOCALAPPDATA", "TEMP", "TMP")
+_CONFINED = (
+    "import json, sys; sys.path.append(sys.argv[1]); from hesr_model.support.rights import "
+    "run_confined; run_confined(*json.loads(sys.argv[2]))"
+)
 PREBUILT = Path(__file__).with_name("binaries")  # kernels of a wheel, named by `digest`
 
 
@@ -82,25 +90,42 @@ def _run_compiler(
         command = [str(files("ziglang") / "zig"), "cc", *flags, "-o", relative_path, source.name]
         # The compiler's object cache breaks under concurrency, so each compilation has its own;
         # that of the slow C library is shared.
-        shared_cache = str(cache_folder() / "zig")
-        caches = {"ZIG_LOCAL_CACHE_DIR": str(cache), "ZIG_GLOBAL_CACHE_DIR": shared_cache}
+        shared_cache = cache_folder() / "zig"
+        shared_cache.mkdir(parents=True, exist_ok=True)
+        # No variable of the user, such as CPATH, changes a binary.
+        environment = {name: os.environ[name] for name in _VARIABLES if name in os.environ} | {
+            "ZIG_LOCAL_CACHE_DIR": str(cache),
+            "ZIG_GLOBAL_CACHE_DIR": str(shared_cache),
+            "TMPDIR": str(cache),
+        }
+        command += [flag.replace("{compiler}", compiler) for flag in last_flags]
+        if sys.platform == "linux":
+            writable = [str(cache), str(shared_cache), str(source.parent.resolve())]
+            command = _confine(command, writable, _list_read_paths(source.parent, command))
         try:
             # Run in the source's folder to keep paths of this machine out of the binary.
-            result = subprocess.run(
-                [*command, *(flag.replace("{compiler}", compiler) for flag in last_flags)],
-                cwd=source.parent,
-                env=os.environ | caches,
-                capture_output=True,
-                text=True,
-                check=False,
-            )
-        except OSError as error:
-            raise ExportError(
-                f"the C compiler cannot be run ({error.strerror}).", code=MISSING_COMPILER
-            ) from error
+            result = run(command, source.parent, _SECONDS, environment)
+        except FailedError as error:
+            raise ExportError(f"the C compiler cannot be run ({error}).") from error
         if not result.returncode:
             return compiled_file.read_bytes()
         # The compiler's own message names none of the folders.
         require_room(folder, find_temporary_folder(), cache_folder())
-    lines = [line for line in result.stderr.splitlines() if "error" in line] or ["no message"]
+    lines = [line for line in result.stdout.splitlines() if "error" in line] or ["no message"]
     raise ExportError(f"{output.name}: the C compiler failed: {lines[0].strip()}.")
+
+
+def _list_read_paths(folder: Path, command: Sequence[str]) -> list[str]:
+    """Return the files and folders that the flags of a command name."""
+    names = [re.sub("^-(?:I|isystem|L)", "", flag) for flag in command]
+    return [str((folder / name).resolve()) for name in names if (folder / name).exists()]
+
+
+def _confine(command: Sequence[str], writable: list[str], readable: list[str]) -> list[str]:
+    """Return a command that runs the compiler with rights to its files only.
+
+    A source cannot include others of the user (`.incbin`, `#embed`), nor be compiled for ever.
+    """
+    root = str(Path(__file__).parents[2])
+    arguments = [command, writable, readable, int(_SECONDS)]
+    return python_command("-I", "-c", _CONFINED, root, json.dumps(arguments))

@@ -116,11 +116,24 @@ def tie_command(command: Sequence[str]) -> Sequence[str]:
     return (*prefix, *command) if sys.platform == "linux" else command
 
 
-def run(command: Sequence[str], folder: Path, seconds: float) -> CompletedProcess[str]:
-    """Run a program in a folder; raises FailedError, also after `seconds`."""
+def run(
+    command: Sequence[str],
+    folder: Path,
+    seconds: float,
+    environment: Mapping[str, str] | None = None,
+) -> CompletedProcess[str]:
+    """Run a program in a folder; raises FailedError, also after `seconds`.
+
+    It sees the variables of this process, or those of an `environment` only.
+    """
     with tempfile.TemporaryFile(dir=folder) as output:
         child = ChildProcess(
-            command, folder, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT
+            command,
+            folder,
+            inherited=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
         )
         try:
             code = child.process.wait(seconds)

@@ -13,7 +13,7 @@ import sysconfig
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 _LANDLOCK = 444  # system calls: create_ruleset, add_rule, restrict_self
 _READ = 1 << 2 | 1 << 3
@@ -144,12 +144,34 @@ def give_up(writable: Path, readable: Sequence[Path]) -> list[str]:
     held = []
     _control(_NO_NEW_PRIVILEGES, 1)
     if get_landlock_version() >= 1:
-        _restrict_files(writable, [*readable, *_list_python_folders(), *map(Path, _SYSTEM)])
+        _restrict_files([writable], [*readable, *_list_python_folders(), *map(Path, _SYSTEM)])
         held.append(LANDLOCK.name)
     if has_seccomp():
         _restrict_calls()
         held.append(SECCOMP.name)
     return held
+
+
+def run_confined(
+    command: Sequence[str], writable: Sequence[str], readable: Sequence[str], limit: int
+) -> NoReturn:
+    """Replace this process by a program that reads and writes below some folders only. Linux only.
+
+    It may execute what lies next to it, has `limit` [s] of processor time, and ends with its
+    parent. Raises OSError.
+    """
+    import resource
+
+    _control(_NO_NEW_PRIVILEGES, 1)
+    end_with_parent()
+    resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    if get_landlock_version() >= 1:
+        system = [*_SYSTEM, *readable]
+        _restrict_files(
+            list(map(Path, writable)), list(map(Path, system)), [Path(command[0]).parent]
+        )
+    os.execv(command[0], list(command))
 
 
 def enter_namespaces() -> bool:
@@ -239,7 +261,9 @@ def _list_python_folders() -> Iterator[Path]:
             yield path
 
 
-def _restrict_files(writable: Path, readable: Sequence[Path]) -> None:
+def _restrict_files(
+    writable: Sequence[Path], readable: Sequence[Path], executable: Sequence[Path] = ()
+) -> None:
     version = get_landlock_version()
     rights = (1 << _RIGHTS[min(version, max(_RIGHTS))]) - 1
     scoped = _SCOPED if version >= 6 else 0
@@ -248,8 +272,9 @@ def _restrict_files(writable: Path, readable: Sequence[Path]) -> None:
     try:
         for paths, allowed in (
             (readable, _READ),
+            (executable, _READ | _EXECUTE),
             (map(Path, _DEVICES), _READ | _FILE),
-            ([writable], rights & ~_EXECUTE),
+            (writable, rights & ~_EXECUTE),
         ):
             for path in paths:
                 with suppress(FileNotFoundError, PermissionError):
@@ -263,7 +288,7 @@ def _allow(rules: int, path: Path, allowed: int) -> None:
     handle = os.open(path, os.O_PATH | os.O_CLOEXEC)
     try:
         if not path.is_dir():
-            allowed &= _FILE
+            allowed &= _FILE | _EXECUTE
         _call(_LANDLOCK + 1, rules, 1, struct.pack("<Qi", allowed, handle), 0)
     finally:
         os.close(handle)

@@ -8,6 +8,7 @@ from fmu_files import BINARY, changed, check, members, said, texts
 from fmu_src.check import binaries
 from fmu_src.check.binaries import KNOWN_FUNCTIONS
 from fmu_src.export.toolchain import TARGETS
+from hesr_model.support import child
 from hesr_model.support.compiler import compile_c
 
 ALL = tuple(sorted(KNOWN_FUNCTIONS))
@@ -235,23 +236,25 @@ def test_a_library_that_hangs_is_reported(of, monkeypatch, table1_fmu):
 
 
 @pytest.mark.parametrize(
-    ("deed", "how"),
+    ("module", "deed", "how"),
     [
-        ("os.kill(os.getpid(), 11)", "crashed with signal 11 (SIGSEGV)"),
-        ("raise MemoryError('too much')", "failed with 'MemoryError: too much'"),
-        ("os._exit(7)", "ended its process with exit code 7"),
+        ("killed_reader", "os.kill(os.getpid(), 11)", "crashed with signal 11 (SIGSEGV)"),
+        ("failing_reader", "raise MemoryError('too much')", "failed with 'MemoryError: too much'"),
+        ("ended_reader", "os._exit(7)", "ended its process with exit code 7"),
     ],
 )
-def test_a_reader_crash_is_reported(of, monkeypatch, table1_fmu, tmp_path, deed, how):
+def test_a_reader_crash_is_reported(of, monkeypatch, table1_fmu, tmp_path, module, deed, how):
     text = f"import os\ndef read(_file): {deed}\n"
-    (tmp_path / "readers.py").write_text(text, encoding="utf-8")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.setattr(binaries, "_READER", "readers:read")
+    (tmp_path / "modules").mkdir()
+    (tmp_path / "modules" / f"{module}.py").write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path / "modules")  # not the current folder
+    monkeypatch.setattr(binaries, "_READER", f"{module}:read")
     assert of(members(table1_fmu)[BINARY]) == [
         Containing(f"{BINARY}: its content", f"its reader {how}")
     ]
 
 
 def test_a_missing_reader_is_reported(of, monkeypatch, table1_fmu, tmp_path):
+    monkeypatch.setattr("hesr_model.support.child._nursery", child._Nursery())
     monkeypatch.setattr("sys.executable", str(tmp_path / "none"))
     assert of(members(table1_fmu)[BINARY]) == [Containing("reader has no process", "No such file")]
