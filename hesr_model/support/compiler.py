@@ -1,9 +1,11 @@
 """The C compiler, with cached results."""
 
+import errno
 import hashlib
 import json
 import os
 import re
+import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from importlib.metadata import version
@@ -99,6 +101,9 @@ def _run_compiler(
             "TMPDIR": str(cache),
         }
         command += [flag.replace("{compiler}", compiler) for flag in last_flags]
+        if shutil.which(command[0]) is None:  # the program that confines it would start
+            reason = os.strerror(errno.ENOENT)
+            raise ExportError(f"the C compiler cannot be run ({reason}).", code=MISSING_COMPILER)
         if sys.platform == "linux":
             writable = [str(cache), str(shared_cache), str(source.parent.resolve())]
             command = _confine(command, writable, _list_read_paths(source.parent, command))
