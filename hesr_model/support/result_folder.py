@@ -283,12 +283,17 @@ def write_list(folder: OpenFolder, hashes: Mapping[str, str]) -> None:
 
 
 def read_list(folder: OpenFolder) -> dict[str, str] | None:
-    """Return the hashes of a list that this user's HESR has signed; None if there is none."""
+    """Return the hashes of a list that this user's HESR has signed; None if there is none.
+
+    Raises OSError for a list that cannot be read.
+    """
+    if not folder.has(LIST) or not stat.S_ISREG(folder.status(LIST).st_mode):
+        return None
     try:
         data = json.loads(folder.read_file(LIST, _MAX_LIST_SIZE))
         hashes = data["files"]
         is_signed = hmac.compare_digest(str(data["signature"]).encode(), _sign(hashes).encode())
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         return None
     return hashes if is_signed else None
 

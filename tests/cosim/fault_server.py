@@ -12,15 +12,22 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import fmu_src.friction.friction_fmu
+import cosim.study.law_choice
+import cosim.workflow.export
+import cosim.workflow.fit
+import cosim.workflow.identify
 import hesr.cli
-import hesr_model.fitting.fit
-import hesr_model.rigid_body.identification
 from hesr.cli.console import report_errors
 from hesr_model.support.result_folder import folder_written_whole
 
-_PRELOADED = (fmu_src.friction.friction_fmu, hesr_model.fitting.fit)
-_PRELOADED_BODY = hesr_model.rigid_body.identification
+# Commands import them slowly, and start processes that would import them again.
+PRELOADED = (
+    cosim.study.law_choice,
+    cosim.workflow.export,
+    cosim.workflow.fit,
+    cosim.workflow.identify,
+)
+os.cpu_count = lambda: 1
 
 
 def replay_run(recorded: str, results: str) -> None:

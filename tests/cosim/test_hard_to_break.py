@@ -114,6 +114,25 @@ def test_a_second_run_into_the_same_folder_is_refused(tmp_path: Path) -> None:
         wait_for(lambda: not left & find_new_folders(results), third)
 
 
+def test_reading_a_received_folder_moves_nothing(refused: Refused, tmp_path: Path) -> None:
+    """Earlier versions completed what they took for a result of a killed run, through links."""
+    results, home = tmp_path / "received", tmp_path / "home"
+    planted = results / ".hesr-whole"
+    for folder in (planted / "notes", planted / "laws", home):
+        folder.mkdir(parents=True)
+    (home / ".bashrc").write_text("mine", encoding="utf-8")
+    for name in ("notes/.bashrc", "laws/.bashrc", "run.json"):
+        (planted / name).write_text("planted", encoding="utf-8")
+    (results / "notes").symlink_to(home)
+    (results / "laws").symlink_to(home)
+    before = contents(tmp_path)
+    for command in ("report", "export"):
+        more = ("--format", "loop", "-o", tmp_path / "loop") if command == "export" else ()
+        refused(command, results, *more)
+    refused("report", results, "-o", tmp_path / "digest.md")
+    assert contents(tmp_path) == before
+
+
 # --- outputs with a limited character set -------------------------------------------------------
 
 
