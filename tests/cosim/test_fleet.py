@@ -411,7 +411,7 @@ def test_logs_are_found_in_folders_and_partitions(tmp_path: Path) -> None:
         ("fmu = false", "laws_ = []", "unknown key 'laws_'; allowed here: fmu, laws, least_"),
         ('["stribeck"]', '["stribek"]', "stribek"),
         ('"robot.toml"', '"no.toml"', "no.toml: no such file."),
-        ('"logs/robot=*"', '"logs/robot=*"\naccept = ["zeros"]', "'accept' is 'zeros'; the"),
+        ('"logs/robot=*"', '"logs/robot=*"\naccept = ["zeros"]', "--accept is 'zeros'; the"),
         (
             '"logs/robot=*"',
             '"logs/robot=*"\n[types.b]\nrobot = "robot.toml"\nlogs = "logs/*"',
