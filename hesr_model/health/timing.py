@@ -7,7 +7,7 @@ both tests fit a body with free parameters in addition to friction with memory.
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import sympy
@@ -24,13 +24,15 @@ from hesr_model.robots.robot import Robot
 from hesr_model.robots.transmission import transform_motion
 from hesr_model.support.arrays import Array, Mask
 
-_STOP_WIDTHS = 2.5e-4 * 2.0 ** np.arange(9)  # break-away deflections, as shares of the travel
-_SLOW_SHARE = 0.5  # decay speed of shapes that fall with speed, over the peak speed
+_VELOCITY_COLUMN_COUNT = 3  # of friction without memory, which may be negative
 _MAX_DELAY = 0.25  # largest delay searched [s]
 _SEARCH_STEP = 0.005  # [s]
-_SHIFTS = _SEARCH_STEP * np.arange(
-    -round(_MAX_DELAY / _SEARCH_STEP), round(_MAX_DELAY / _SEARCH_STEP) + 1
-)  # [s]
+_ZERO_SHIFT = round(_MAX_DELAY / _SEARCH_STEP)
+_SHIFTS = np.array(_SEARCH_STEP * np.arange(-_ZERO_SHIFT, _ZERO_SHIFT + 1), dtype=float)  # [s]
+_RIVAL_STRIDE = 3  # every third shift races against a richer memory
+# Squares that a lag explains over those that friction without memory leaves. A memory that no sum
+# of stops has leaves up to 0.007; a lag of 0.15 s adds 0.03 and more.
+_MIN_SHARE_OF_MEMORY = 0.02
 _AVERAGING_WINDOW = 0.1  # [s]
 _AVERAGE_SPACING = 0.02  # time between averages [s]
 _BODY_SPACING = 5e-3  # time between evaluations of the bodies [s]
@@ -48,6 +50,24 @@ _INTERVAL_ERRORS = 3.0  # standard errors of a stated interval
 _MIN_DURATION_TO_DELAY = 8.0  # duration of a log over the largest delay
 
 
+class Memory(NamedTuple):
+    """Shapes of friction that remembers reversals.
+
+    Attributes
+    ----------
+    widths : (W,) deflections after which friction slides, as shares of the travel.
+    slow_shares : (S,) speeds over which friction falls, as shares of the peak speed.
+    """
+
+    widths: Array
+    slow_shares: tuple[float, ...]
+
+
+_MEMORY = Memory(np.array(2.5e-4 * 2.0 ** np.arange(9), dtype=float), (0.5,))
+# What the lag of a single joint must beat: memory may be shorter or longer, and fall faster.
+_RIVAL_MEMORY = Memory(np.geomspace(1.6e-5, 0.128, 8), (0.07, 0.3))
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LagRows:
     """Shifted torques (N, S, n), regressors (N, n, P) at rest and in motion, friction (N, K).
@@ -62,7 +82,9 @@ class LagRows:
     is_known: Mask  # (N, n) rows whose friction does not depend on what was before the log
 
     @classmethod
-    def from_log(cls, log: Log, robot: Robot, base: Sequence[int]) -> "LagRows":
+    def from_log(
+        cls, log: Log, robot: Robot, base: Sequence[int], memory: Memory = _MEMORY
+    ) -> "LagRows":
         """Evaluate the columns `base` of the regressor, and friction, along a log."""
         from scipy.interpolate import make_interp_spline
 
@@ -100,9 +122,10 @@ class LagRows:
             static=_average_rows(body_averages, static_regressor),
             inertial=_average_rows(body_averages, total_regressor - static_regressor),
             friction_shapes=tuple(
-                averages @ _compute_friction_shapes(u[:, j], v[:, j]) for j in range(robot.n)
+                averages @ _compute_friction_shapes(u[:, j], v[:, j], memory)
+                for j in range(robot.n)
             ),
-            is_known=averages @ (1.0 * (distance > 2.0 * _STOP_WIDTHS[-1] * travel)) > 1.0 - 1e-9,
+            is_known=averages @ (1.0 * (distance > 2.0 * memory.widths[-1] * travel)) > 1.0 - 1e-9,
         )
 
 
@@ -127,24 +150,30 @@ def _build_averages(t: Array, times: Array, period: float) -> Any:
     return csr_array((weights.ravel(), indices.ravel(), starts), shape=(len(times), len(t)))
 
 
-def _compute_friction_shapes(u: Array, v: Array) -> Array:
-    """Return friction of several shapes (N, K) along a position u (N,)."""
+def _compute_friction_shapes(u: Array, v: Array, memory: Memory = _MEMORY) -> Array:
+    """Return friction of several shapes (N, K) along a position u (N,).
+
+    The last three may have negative weights.
+    """
     travel = max(float(np.ptp(u)), 1e-300)
-    stops = KernelRun(_build_stops(), [np.diff(u, prepend=u[0]) / travel], np.ones_like(u))
-    initial_state = np.full(len(_STOP_WIDTHS), np.sign(v[0]))
+    kernel = _build_stops(tuple(memory.widths.tolist()))
+    stops = KernelRun(kernel, [np.diff(u, prepend=u[0]) / travel], np.ones_like(u))
+    initial_state = np.full(len(memory.widths), np.sign(v[0]))
     stop_shapes = stops.evaluate(np.zeros(0), initial_state, settled=True)
-    # Friction falls with speed.
-    speed_weights = np.exp(-np.abs(v) / (_SLOW_SHARE * np.max(np.abs(v), initial=1e-300)))
+    peak = np.max(np.abs(v), initial=1e-300)
+    falling_shapes = [
+        stop_shapes * np.exp(-np.abs(v) / (share * peak))[:, None] for share in memory.slow_shares
+    ]
     velocity_shapes = np.sign(v), friction_shape(v), v, v * np.abs(v), np.ones_like(v)
-    return np.column_stack([stop_shapes, stop_shapes * speed_weights[:, None], *velocity_shapes])
+    return np.column_stack([stop_shapes, *falling_shapes, *velocity_shapes])
 
 
 @cache
-def _build_stops() -> Kernel:
+def _build_stops(widths: tuple[float, ...]) -> Kernel:
     displacement = sympy.Symbol("displacement", real=True)
     stops = [
         Stop(name=f"stop_{k}", unit="1", velocity=displacement, deflection=width, bound=1)
-        for k, width in enumerate(_STOP_WIDTHS.tolist())
+        for k, width in enumerate(widths)
     ]
     return Kernel(stops, (), (displacement,), [stop.state for stop in stops], once=True)
 
@@ -160,9 +189,21 @@ def check_clocks(
     is_slow = np.median(np.diff(part.t)) > _AVERAGING_WINDOW
     if is_slow or np.ptp(part.t) < _MIN_DURATION_TO_DELAY * _MAX_DELAY or not joints:
         return [], ()
-    rows = LagRows.from_log(part.log, robot, base_columns(robot))
+    base = base_columns(robot)
+    rows = LagRows.from_log(part.log, robot, base)
     joint_lags = find_lags(rows, joints)
-    lag_hypotheses = [_doubt_lag(rows, j, lag, robot) for j, lag in joint_lags.items()]
+    # Joints with one lag confirm each other; that of a single joint may be memory of its friction.
+    is_common = len(joint_lags) > 1 and len(set(joint_lags.values())) == 1
+    if is_common or not joint_lags:
+        trials_by_joint: dict[int, tuple[Race | Statistic, ...]] = {
+            j: _race_lag(rows, j, lag) for j, lag in joint_lags.items()
+        }
+    else:
+        rival_rows = LagRows.from_log(part.log, robot, base, _RIVAL_MEMORY)
+        trials_by_joint = {j: _try_memory(rival_rows, j, lag) for j, lag in joint_lags.items()}
+    lag_hypotheses = [
+        _doubt_lag(j, lag, robot, trials_by_joint[j]) for j, lag in joint_lags.items()
+    ]
     late_joints = {
         j
         for j, hypothesis in zip(joint_lags, lag_hypotheses, strict=True)
@@ -175,7 +216,9 @@ def check_clocks(
     return [*lag_hypotheses, *rate_hypotheses], late_joints
 
 
-def _doubt_lag(rows: LagRows, j: int, lag: Estimate, robot: Robot) -> Hypothesis:
+def _doubt_lag(
+    j: int, lag: Estimate, robot: Robot, trials: tuple[Race | Statistic, ...]
+) -> Hypothesis:
     direction = "late" if lag.value > 0 else "early"
     half_interval = 1e3 * _INTERVAL_ERRORS * lag.error
     return Hypothesis(
@@ -185,20 +228,28 @@ def _doubt_lag(rows: LagRows, j: int, lag: Estimate, robot: Robot) -> Hypothesis
         f"the motion (+- {half_interval:.0f} ms)",
         remedy="torques were filtered or come from another clock; shift their columns in time",
         severity="warning",
-        trials=(_race_lag(rows, j, lag),),
+        trials=trials,
         record="faster motion with more reversals",
     )
 
 
-def _race_lag(rows: LagRows, j: int, lag: Estimate) -> Race:
-    """Return the race of a lag against none, by residuals of friction with memory.
+def _race_lag(rows: LagRows, j: int, lag: Estimate) -> tuple[Race, ...]:
+    """Return the race of a lag against none, by residuals of friction with memory."""
+    projected = _project_lag_rows(rows, j)
+    if projected is None:
+        return ()
+    shapes, torques, _ = projected
+    return (_race_shifts(_compute_residuals(shapes, torques), _SHIFTS, lag),)
+
+
+def _race_shifts(residuals: Array, shifts: Array, lag: Estimate) -> Race:
+    """Return the race of a lag against none, by residuals (N, S) of shifted torques.
 
     The lag that left-out rows judge is the best of the other rows on the same side of 0.
     """
-    residuals = _fit_shifted(rows, j)
     squares_by_shift = residuals**2
-    zero = len(_SHIFTS) // 2
-    same_side = np.flatnonzero(_SHIFTS * np.sign(lag.value) > 0.0)
+    zero = int(np.flatnonzero(shifts == 0.0)[0])
+    same_side = np.flatnonzero(shifts * np.sign(lag.value) > 0.0)
     # Averages are evenly spaced.
     times = np.arange(len(residuals), dtype=float)
     left_out = LeftOutRows.split([""], [times])
@@ -207,6 +258,33 @@ def _race_lag(rows: LagRows, j: int, lag: Estimate) -> Race:
         totals = squares_by_shift[trained][:, same_side].sum(axis=0)
         squares[judged] = squares_by_shift[judged, same_side[int(np.argmin(totals))]]
     return Race(rival="no lag", rival_squares=squares_by_shift[:, zero], squares=squares)
+
+
+def _try_memory(rows: LagRows, j: int, lag: Estimate) -> tuple[Race | Statistic, ...]:
+    """Return the trials of the lag of one joint against friction with memory of any length.
+
+    In slow motion friction builds up for as long as a clock may be wrong, and what few stops cannot
+    follow looks like a lag.
+    """
+    projected = _project_lag_rows(rows, j)
+    if projected is None:
+        # Nothing can be told.
+        return (Statistic(name="its lag", estimate=Estimate(value=1.0, error=np.inf), high=0.0),)
+    shapes, torques, _ = projected
+    shifts = np.arange(_ZERO_SHIFT % _RIVAL_STRIDE, len(_SHIFTS), _RIVAL_STRIDE)
+    race = _race_shifts(_compute_residuals(shapes, torques[:, shifts]), _SHIFTS[shifts], lag)
+    memoryless_squares = _compute_residuals(shapes[:, -2:], torques[:, [_ZERO_SHIFT]]) ** 2
+    rival_total = float(np.sum(race.rival_squares))
+    remaining_share = rival_total / max(float(np.sum(memoryless_squares)), 1e-300)
+    share = Statistic(
+        name="what the lag explains, over what friction without memory leaves",
+        estimate=Estimate(
+            value=race.gain.value * remaining_share, error=race.gain.error * remaining_share
+        ),
+        high=_MIN_SHARE_OF_MEMORY,
+        errors=_INTERVAL_ERRORS,
+    )
+    return race, share
 
 
 def _doubt_rate(rate: float, certainty: float) -> Hypothesis:
@@ -323,7 +401,7 @@ def _project_lag_rows(rows: LagRows, j: int) -> tuple[Array, Array, int] | None:
 
     The third item is the number of unknowns of the body; None if there are too few rows.
     """
-    shape_count = 2 * len(_STOP_WIDTHS) + 2
+    shape_count = rows.friction_shapes[j].shape[1] - _VELOCITY_COLUMN_COUNT
     is_known = rows.is_known[:, j]
     shapes, other_columns = np.split(rows.friction_shapes[j][is_known], [shape_count], axis=1)
     other_columns = np.hstack([(rows.static + rows.inertial)[is_known, j], other_columns])
@@ -332,15 +410,6 @@ def _project_lag_rows(rows: LagRows, j: int) -> tuple[Array, Array, int] | None:
     projected = _project_out(other_columns, np.hstack([shapes, rows.torques[is_known, :, j]]))
     shapes, torques = np.split(projected, [shape_count], axis=1)
     return shapes, torques, other_columns.shape[1]
-
-
-def _fit_shifted(rows: LagRows, j: int) -> Array:
-    """Return what a free body and friction with memory leave of shifted torques (N, S)."""
-    projected = _project_lag_rows(rows, j)
-    if projected is None:
-        return np.zeros((1, len(_SHIFTS)))
-    shapes, torques, _ = projected
-    return _compute_residuals(shapes, torques)
 
 
 def _compute_residuals(shapes: Array, torques: Array) -> Array:
@@ -380,7 +449,7 @@ def estimate_stamp_rate(rows: LagRows, joints: Sequence[int]) -> tuple[float, fl
     joint_tables = []
     column_count = rows.static.shape[2]
     for j in joints:
-        joint_torque = rows.torques[:, len(_SHIFTS) // 2, [j]]
+        joint_torque = rows.torques[:, _ZERO_SHIFT, [j]]
         residuals = _project_out(
             rows.friction_shapes[j],
             np.hstack([joint_torque, rows.static[:, j], rows.inertial[:, j]]),
