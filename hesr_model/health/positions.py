@@ -381,7 +381,8 @@ def _compute_share_at_limit(tau: Array) -> float:
 
 _MAX_SKIPPED_SHARE = 0.05  # allowed share of steps longer than 1.8 periods
 _GRID_TOLERANCE = 0.2  # periods
-_MIN_IRREGULAR_SHARE = 0.2  # share of steps off the grid, above which stamps are irregular
+# Share of steps off the grid, above which stamps are irregular; without a grid 0.6 are.
+_MIN_IRREGULAR_SHARE = 0.3
 _MAX_UNCERTAINTY = 0.03  # allowed relative uncertainty, two standard deviations
 _SPEED_SHARES = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0])  # shares of the peak speed
 _JUDGED_SHARES = (0.1, 0.7)  # shares where the joint slides
