@@ -31,6 +31,7 @@ from hesr_model.support.arrays import Array, Mask
 from hesr_model.units import reverse_unit, unit_of_joint
 
 _MAX_SCALE = 3.0  # plausible factor of gravity; real arms have 0.6 to 1.5
+_MAX_REAL_SCALE = 1.6  # of gravity once its unit is right, or its inverse
 _HUGE_SCALE = 10.0  # factor of a gravity that the model has hardly any of
 _MIN_R2 = 0.8  # minimum R^2 for a scale estimate
 NO_SIGNAL_R2 = 0.35  # R^2 below which nothing is explained
@@ -353,7 +354,8 @@ def _doubt_scale(
     fit: TorqueFit, j: int, fits: TorqueFits, robot: Robot, explanations: Explanations | None
 ) -> Iterator[Hypothesis]:
     """Doubt the unit or the torque constant of a torque that the model explains."""
-    if fit.r2 < _MIN_R2:
+    # Races decide whether the model explains enough of it.
+    if fit.r2 < (_MIN_R2 if explanations is None else NO_SIGNAL_R2):
         return
     is_weightless = (
         fit.bears_gravity
@@ -387,14 +389,13 @@ def _doubt_scale(
     )
     races = () if explanations is None else _race_scale(explanations, fit, by_gravity=by_gravity)
     description = robot.description
-    gravity_scales = [
-        abs(other_fit.gravity.value) for other_fit in fits.values() if other_fit.bears_gravity
-    ]
-    is_everywhere = len(gravity_scales) > 1 and all(
-        not 1 / _MAX_SCALE <= gravity_scale <= _MAX_SCALE for gravity_scale in gravity_scales
-    )
     scale = estimate.value
-    remedy, changes = _explain_scale(description, j, scale, is_everywhere=is_everywhere)
+    scales = {
+        number: abs(other_fit.gravity.value)
+        for number, other_fit in fits.items()
+        if other_fit.bears_gravity
+    }
+    remedy, changes = _explain_scale(description, j, {**scales, j: scale})
     if (
         scale <= _MAX_WEIGHTLESS_SHARE
         and is_weightless
@@ -453,8 +454,17 @@ def _race_scale(
 
 
 def _explain_scale(
-    description: RobotDescription, j: int, scale: float, *, is_everywhere: bool
+    description: RobotDescription, j: int, scales: Mapping[int, float]
 ) -> tuple[str, dict[str, object]]:
+    """Return what may be wrong with the torque of a joint, and the changes that mend it.
+
+    Parameters
+    ----------
+    description : of the robot.
+    j : index of the joint.
+    scales : torque over the model's, of this joint and of others whose gravity tells.
+    """
+    scale = scales[j]
     if description.log.torque_per_ampere is not None:
         if scale <= 0:
             return "its torque_per_ampere is far too small, or the column holds another signal", {}
@@ -462,11 +472,18 @@ def _explain_scale(
         rounded_factor = round(deviation_factor, 1 - len(str(int(deviation_factor))))
         direction = "small" if scale < 1 else "large"
         return f"its torque_per_ampere is about {rounded_factor:g} times too {direction}", {}
-    if scale > 100:
+    if 1 / _MAX_SCALE < 1e-3 * scale < _MAX_SCALE:
         return "torque is in mN.m", {"log.units.tau": "mN.m"}
     gear_ratios = description.gear_ratio
-    if gear_ratios and 1 / _MAX_SCALE < scale * gear_ratios[j] < _MAX_SCALE:
+    # The gears must explain the torques of all joints, not of one by chance.
+    if gear_ratios and all(
+        1 / _MAX_REAL_SCALE < other_scale * gear_ratios[k] < _MAX_REAL_SCALE
+        for k, other_scale in scales.items()
+    ):
         return "it is the motor torque before the gear", {"log.units.tau": gear_ratios}
+    is_everywhere = len(scales) > 1 and all(
+        not 1 / _MAX_SCALE <= other_scale <= _MAX_SCALE for other_scale in scales.values()
+    )
     causes = [] if is_everywhere else ["the unit of torque or position is wrong"]
     if scale < 1.0 and not gear_ratios:
         # As a current, it is smaller by a constant of the joint, and a log shows no more of it.
