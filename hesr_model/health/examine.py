@@ -44,6 +44,7 @@ CHECKS = (
     *("velocity-scale", "velocity-lag", "torque-constant", "saturation", "torque-sign"),
     *("torque-scale", "torque-signal", "torque-lag", "torque-limit", "torque-small"),
     *("torque-columns", "position-sign", "joint-order", "zero", "gravity", "gravity-sign"),
+    "angle-unit",
     *("torque-unsigned", "position-integral", "other-robot"),
 )
 
@@ -75,6 +76,7 @@ def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | N
     # The acceleration of a guessed end may be wrong by all of it.
     measured_parts = [select_rows(part, part.is_measured) for part in parts]
     is_stated = description.known is None
+    slides = tuple(robot.slides) if robot else ()
     if robot and (not is_stated or robot.springs):
         robot = _inform_robot(robot, measured_parts)
     torques = (
@@ -97,7 +99,8 @@ def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | N
             omission_hypotheses = check_omission(measured_parts[k], part_torques, description)
             hypotheses += add_log_name(part.log, omission_hypotheses)
         hypotheses += add_log_name(
-            part.log, check_velocity(part, description, broken_joints, coarse_joints)
+            part.log,
+            check_velocity(part, description, broken_joints, coarse_joints, slides),
         )
         if robot and description.log.columns.q:
             hypotheses += add_log_name(part.log, positions.check_limits(part, robot))

@@ -32,6 +32,7 @@ from hesr_model.health.joints import (
     remove_joints,
     select_joints,
 )
+from hesr_model.health.positions import is_plausible_period
 from hesr_model.health.velocity import match_velocity
 from hesr_model.logs.csv_text import HeaderError
 from hesr_model.logs.guess import guess_columns
@@ -142,12 +143,13 @@ def propose(paths: Sequence[Path], description: RobotDescription, *, has_model: 
     """Find a description, with a model file if `has_model`, that passes the checks."""
     reasons: dict[str, str] = {}
     has_stated_constants = description.log.torque_per_ampere is not None
+    stated_cutoff = description.log.filter_cutoff
 
     def read_and_examine(
         description: RobotDescription,
     ) -> tuple[RobotDescription, list[Log], Examination]:
         description, logs = _read_logs(paths, description, reasons)
-        description = _limit_cutoff(description, logs, reasons)
+        description = _limit_cutoff(description, logs, reasons, stated_cutoff)
         return (
             description,
             logs,
@@ -210,6 +212,8 @@ def propose(paths: Sequence[Path], description: RobotDescription, *, has_model: 
         description, logs, examination = read_and_examine(
             remove_joints(description, resting_joints, temperatures=has_temperature)
         )
+    if description.log.filter_cutoff == stated_cutoff:
+        reasons.pop("log.filter_cutoff", None)  # of a change that was only tried
     slides = Robot(description).slides if has_model else ()
     findings = examination.findings
     remaining_findings = tuple(
@@ -306,11 +310,19 @@ def _read_remedies(message: str) -> Iterator[tuple[str, Any]]:
 
 
 def _limit_cutoff(
-    description: RobotDescription, logs: Sequence[Log], reasons: dict[str, str]
+    description: RobotDescription,
+    logs: Sequence[Log],
+    reasons: dict[str, str],
+    stated_cutoff: float,
 ) -> RobotDescription:
-    slowest_rate = 1.0 / max(log.period for log in logs)
-    if description.log.filter_cutoff <= 0.4 * slowest_rate or slowest_rate < 1.0:
-        return description
+    """Return a description whose low pass suits the rate of the logs, as far as their unit does.
+
+    A later correction of the unit of time changes the rate, so that the stated cut-off [Hz] counts.
+    """
+    slowest_period = max(log.period for log in logs)
+    slowest_rate = 1.0 / slowest_period
+    if stated_cutoff <= 0.4 * slowest_rate or not is_plausible_period(slowest_period):
+        return apply_changes(description, {"log.filter_cutoff": stated_cutoff})
     reasons["log.filter_cutoff"] = f"sure: the sample rate is only {slowest_rate:.4g} Hz"
     return apply_changes(
         description, {"log.filter_cutoff": float(f"{_CUTOFF_SHARE * slowest_rate:.2g}")}

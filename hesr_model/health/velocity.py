@@ -1,6 +1,6 @@
 """Velocity checks against the derivative of the position: units, signs, columns, lag."""
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +21,13 @@ from hesr_model.logs.log_format import LogUnits, column_names
 from hesr_model.logs.robot_log import SHORTEST_PART, Log
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.arrays import Array, Integers
-from hesr_model.units import COMMON_UNITS, REVOLUTE_UNITS, find_si_factor, reverse_unit
+from hesr_model.units import (
+    COMMON_UNITS,
+    PRISMATIC_UNITS,
+    REVOLUTE_UNITS,
+    find_si_factor,
+    reverse_unit,
+)
 
 _MIN_CORRELATION = 0.9  # of a velocity with its position
 _MAX_SCALE_ERROR = 0.1  # of a velocity, above which it is an error
@@ -36,6 +42,7 @@ _RATIO_ERRORS = 3.0  # standard errors within which a ratio is that of a unit or
 _MIN_RATIO_TOLERANCE = 5e-4  # of a ratio whose error is unknown to be smaller: clocks drift by less
 _MAX_CHANCE = 0.1  # probability that a ratio is close to a whole number in some unit
 _BLOCKS = 20  # of time, left out in turn
+_UNKNOWN_CAUSE = "units, a gear ratio or the signal itself are wrong; see [log.units]"
 _DERIVE_REMEDY = "derive it from the position"
 _TELLING_MOTION = "motion that reverses, at several speeds"
 
@@ -178,6 +185,7 @@ def check_velocity(
     description: RobotDescription,
     excluded_joints: Collection[str] = (),
     coarse_joints: Collection[str] = (),
+    slides: Sequence[bool] = (),
 ) -> Iterator[Hypothesis]:
     """Doubt velocities, but for resting joints.
 
@@ -187,6 +195,7 @@ def check_velocity(
     description : of the robot.
     excluded_joints : joints that are not judged.
     coarse_joints : joints whose positions are too coarse to contradict a velocity.
+    slides : (n,) whether each joint is prismatic; by default none is.
     """
     if part.dq is None:
         return
@@ -215,7 +224,8 @@ def check_velocity(
         )
         if mismatch.outcome == "lost":
             yield from _doubt_sign(description, j, matches, v, dq)
-            yield from _doubt_scale(description, j, matches, part, v, dq)
+            kinds = slides or (False,) * len(description.joints)
+            yield from _doubt_scale(description, j, matches, part, v, dq, kinds)
             yield from _doubt_lag(joint, j, match, part, v, dq)
         elif np.ptp(dq[:, j]) <= 1e-9 * np.max(np.abs(v[:, j])):
             yield Hypothesis(
@@ -383,13 +393,14 @@ def _doubt_scale(
     part: SmoothPart,
     v: Array,
     dq: Array,
+    slides: Sequence[bool],
 ) -> Iterator[Hypothesis]:
     """Doubt that a velocity and its position have the units that the file states."""
     match = matches[j]
     ratio = abs(match.slope)
     if abs(np.log(ratio)) < _MAX_SCALE_WARNING:
         return
-    cause, changes = _find_cause(description, j, matches, part)
+    cause, changes = _find_cause(description, j, matches, part, slides)
     ratio_text = f"{ratio:.3g} times faster" if ratio > 1 else f"{1 / ratio:.3g} times slower"
     severity: Severity = "error" if abs(np.log(ratio)) > _MAX_SCALE_ERROR else "warning"
     sign = float(np.sign(match.slope))
@@ -418,7 +429,11 @@ def _doubt_scale(
 
 
 def _find_cause(
-    description: RobotDescription, j: int, matches: dict[int, VelocityMatch], part: SmoothPart
+    description: RobotDescription,
+    j: int,
+    matches: dict[int, VelocityMatch],
+    part: SmoothPart,
+    slides: Sequence[bool],
 ) -> tuple[str, dict[str, object]]:
     """Return what explains the ratio of a position's change to its velocity, and its mend."""
     ratio = abs(matches[j].slope)
@@ -431,20 +446,29 @@ def _find_cause(
     for quantity in ("q", "dq") if exceeds_turns else ("dq", "q"):
         # q' = q f scales the derivative of the position by f, dq' = dq f the logged velocity.
         needed_factor = 1.0 / ratio if quantity == "q" else ratio
-        for unit in _find_units(units, quantity, j, joint_count, needed_factor):
-            remedy = f"{quantity} is in {unit}"
-            if are_alike or len(matches) == 1:
-                return remedy, {f"log.units.{quantity}": unit}
-            joint_units = list(units.expand_per_joint(quantity, joint_count))
-            joint_units[j] = unit
-            return remedy, {f"log.units.{quantity}": tuple(joint_units)}
+        known_units = PRISMATIC_UNITS if slides[j] else REVOLUTE_UNITS
+        declared_factor = float(units.factors(quantity, joint_count)[j])
+        for unit in _find_units(known_units[quantity], declared_factor, needed_factor):
+            concerns_all = are_alike or len(matches) == 1
+            new_units = tuple(
+                # Sliding and rotary joints have different units.
+                unit if k == j or (concerns_all and slides[k] == slides[j]) else stated_unit
+                for k, stated_unit in enumerate(units.expand_per_joint(quantity, joint_count))
+            )
+            is_only_unit = concerns_all and set(new_units) == {unit}
+            changes: dict[str, object] = {
+                f"log.units.{quantity}": unit if is_only_unit else new_units
+            }
+            return f"{quantity} is in {unit}", changes
     motor_cause = _find_motor_unit(description, j, ratio)
     if motor_cause is not None:
         return motor_cause
-    if are_alike:
+    if are_alike or len(matches) == 1:
         clock_cause = _find_clock(units, matches, part.log)
         if clock_cause is not None:
             return clock_cause
+    if slides[j]:
+        return _UNKNOWN_CAUSE, {}
     return _find_gear(description, j, matches[j])
 
 
@@ -459,7 +483,9 @@ def _find_motor_unit(
     joint_count = len(description.joints)
     for quantity, needed_factor in (("dq", ratio), ("q", 1.0 / ratio)):
         # At the joint, a unit of the motor is smaller by the gear ratio.
-        for unit in _find_units(units, quantity, j, joint_count, needed_factor * gear_ratio):
+        declared_factor = float(units.factors(quantity, joint_count)[j])
+        motor_units = REVOLUTE_UNITS[quantity]
+        for unit in _find_units(motor_units, declared_factor, needed_factor * gear_ratio):
             joint_units = list(units.expand_per_joint(quantity, joint_count))
             joint_units[j] = float(f"{find_si_factor(quantity, unit) / gear_ratio:.6g}")
             return (
@@ -483,7 +509,7 @@ def _find_clock(
         explains = abs(np.log(ratio * stated_factor / factor)) < tolerance
         if explains and is_plausible and is_long:
             return f"time is in {unit}", {"log.units.t": unit}
-    if max(ratio, 1.0 / ratio) < _MAX_RATE_FACTOR:
+    if len(matches) > 1 and max(ratio, 1.0 / ratio) < _MAX_RATE_FACTOR:
         return (
             f"all joints agree: time stamps run {1 / ratio:.2g} times as fast as time (wrong "
             "sample rate), or the unit of dq is wrong",
@@ -527,16 +553,16 @@ def _find_gear(
                 "joint",
                 {"log.units.dq": tuple(joint_units)},
             )
-    remedy = "units, a gear ratio or the signal itself are wrong; see [log.units]"
+    remedy = _UNKNOWN_CAUSE
     if description.gear_ratio is None:
         remedy += ", or state gear_ratio if it belongs to a motor"
     return remedy, {}
 
 
 def _find_units(
-    units: LogUnits, quantity: str, j: int, joint_count: int, needed_factor: float
+    known_units: Mapping[str, float], declared_factor: float, needed_factor: float
 ) -> Iterator[str]:
-    declared_factor = float(units.factors(quantity, joint_count)[j])
-    for unit, factor in REVOLUTE_UNITS[quantity].items():
+    """Yield the known units that are `needed_factor` times the size of the declared one."""
+    for unit, factor in known_units.items():
         if abs(np.log(abs(factor / declared_factor) / needed_factor)) < _FACTOR_TOLERANCE:
             yield f"-{unit}" if declared_factor < 0 else unit
