@@ -8,7 +8,7 @@ import numpy as np
 from hesr_model.health.evidence import ModelTorques, SmoothPart, friction_shape, smooth_parts
 from hesr_model.health.referee import LeftOutRows, Race
 from hesr_model.logs.robot_log import Log
-from hesr_model.robots.robot import Robot
+from hesr_model.robots.robot import Robot, RobotDescription
 
 Array = np.ndarray
 DEGREE = np.pi / 180.0
@@ -26,12 +26,71 @@ class Mistake:
     checks : findings any of which names it.
     reading : which rows tell it: velocity, torque, or none if the rows themselves show it.
     joints : joints that the mistake needs.
+    of_columns : whether it is one of the columns of a file: units, gears and zeros stay with their
+        places.
+    of_angles : whether only rotary joints can have it.
     """
 
     plant: Callable[[Log, int, int], Log]
     checks: tuple[str, ...]
     reading: str = "rows"
     joints: int = 1
+    of_columns: bool = False
+    of_angles: bool = False
+
+    def apply(self, log: Log, j: int, robot: Robot) -> Log:
+        """Return a log with the mistake at a joint, and at the next one if it needs two."""
+        k = min(j + 1, robot.n - 1)
+        description = robot.description
+        if self.of_columns:
+            spoilt = from_columns(self.plant(to_columns(log, description), j, k), description)
+        else:
+            spoilt = self.plant(log, j, k)
+        slides = np.array(robot.slides)
+        if not (self.of_angles and slides.any()):
+            return spoilt
+        dq = spoilt.dq
+        return replace(
+            spoilt,
+            q=np.where(slides, log.q, spoilt.q),
+            dq=None if dq is None else np.where(slides, log.dq, dq),
+        )
+
+
+def to_columns(log: Log, description: RobotDescription) -> Log:
+    """Return a log with signals as the columns of a file have them."""
+    return _convert(log, description, np.linalg.inv)
+
+
+def from_columns(log: Log, description: RobotDescription) -> Log:
+    """Return a log in SI at joints from one with signals as columns."""
+    return _convert(log, description, np.asarray)
+
+
+def _convert(log: Log, description: RobotDescription, turn: Callable[[Array], Array]) -> Log:
+    """Convert signals by matrices that read columns, or by what `turn` makes of them."""
+    n = len(description.joints)
+    units = description.log.units
+    transmission = description.transmission
+    motors = np.eye(n)
+    if transmission is not None and transmission.logs == "motor":
+        motors = np.array(transmission.matrix)
+    gains = description.log.torque_per_ampere
+    torque_units = units.factors("tau" if gains is None else "current", n)
+    torque_units = torque_units * (1.0 if gains is None else np.array(gains))
+    read_q, read_dq = (
+        turn(np.linalg.solve(motors, np.diag(units.factors(quantity, n)))).T
+        for quantity in ("q", "dq")
+    )
+    read_tau = turn(motors.T * torque_units).T
+    zero = np.array(description.log.zero or np.zeros(n))
+    before, after = (zero, 0.0) if turn is np.linalg.inv else (0.0, zero)
+    return replace(
+        log,
+        q=(log.q - before) @ read_q + after,
+        dq=None if log.dq is None else log.dq @ read_dq,
+        tau=log.tau @ read_tau,
+    )
 
 
 def scale(values: Array | None, j: int, factor: float) -> Array | None:
@@ -108,13 +167,14 @@ SCALE = ("torque-scale", "torque-limit", "torque-small")
 MISTAKES: dict[str, Mistake] = {
     "q in degrees": Mistake(
         plant=_spoil(q=lambda log, j, k: log.q / DEGREE), checks=("limits", *VELOCITY),
-        reading="velocity",
+        reading="velocity", of_angles=True, of_columns=True,
     ),
     "q and dq in degrees": Mistake(
         plant=_spoil(
             q=lambda log, j, k: log.q / DEGREE, dq=lambda log, j, k: multiply(log.dq, 1 / DEGREE)
         ),
-        checks=("limits", "speed-limit", "wrap", *SCALE), reading="torque",
+        checks=("limits", "speed-limit", "wrap", "angle-unit", *SCALE), reading="torque",
+        of_angles=True, of_columns=True,
     ),
     "dq in rpm": Mistake(
         plant=_spoil(dq=lambda log, j, k: multiply(log.dq, 1 / RPM)), checks=VELOCITY,
@@ -130,7 +190,7 @@ MISTAKES: dict[str, Mistake] = {
     ),
     "dq columns swapped": Mistake(
         plant=_spoil(dq=lambda log, j, k: swap(log.dq, j, k)), checks=VELOCITY,
-        reading="velocity", joints=2,
+        reading="velocity", joints=2, of_columns=True,
     ),
     "dq late": Mistake(
         plant=_spoil(dq=lambda log, j, k: delay(log.dq, 0.15, log.t)),
@@ -151,7 +211,8 @@ MISTAKES: dict[str, Mistake] = {
         plant=_spoil(t=lambda log, j, k: 1e3 * log.t), checks=("time-unit", "velocity-scale")
     ),
     "torque backwards": Mistake(
-        plant=_spoil(tau=lambda log, j, k: scale(log.tau, j, -1.0)), checks=SIGN, reading="torque"
+        plant=_spoil(tau=lambda log, j, k: scale(log.tau, j, -1.0)), checks=SIGN,
+        reading="torque", of_columns=True,
     ),
     "all torques backwards": Mistake(
         plant=_spoil(tau=lambda log, j, k: -log.tau), checks=SIGN, reading="torque"
@@ -160,7 +221,7 @@ MISTAKES: dict[str, Mistake] = {
         plant=_spoil(
             q=lambda log, j, k: scale(log.q, j, -1.0), dq=lambda log, j, k: scale(log.dq, j, -1.0)
         ),
-        checks=(*SIGN, "limits"), reading="torque",
+        checks=(*SIGN, "limits"), reading="torque", of_columns=True,
     ),
     "all of a joint backwards": Mistake(
         plant=_spoil(
@@ -168,7 +229,7 @@ MISTAKES: dict[str, Mistake] = {
             dq=lambda log, j, k: scale(log.dq, j, -1.0),
             tau=lambda log, j, k: scale(log.tau, j, -1.0),
         ),
-        checks=(*SIGN, "limits"), reading="torque",
+        checks=(*SIGN, "limits"), reading="torque", of_columns=True,
     ),
     "torque a hundredth": Mistake(
         plant=_spoil(tau=lambda log, j, k: scale(log.tau, j, 0.01)), checks=SCALE,
@@ -183,6 +244,7 @@ MISTAKES: dict[str, Mistake] = {
     "torques swapped": Mistake(
         plant=_spoil(tau=lambda log, j, k: swap(log.tau, j, k)),
         checks=("torque-columns", "torque-signal", *SIGN, *SCALE), reading="torque", joints=2,
+        of_columns=True,
     ),
     "joints swapped": Mistake(
         plant=_spoil(
@@ -191,7 +253,7 @@ MISTAKES: dict[str, Mistake] = {
             tau=lambda log, j, k: swap(log.tau, j, k),
         ),
         checks=("joint-order", "torque-signal", "limits", *SIGN, *SCALE), reading="torque",
-        joints=2,
+        joints=2, of_columns=True,
     ),
     "joints from tip to base": Mistake(
         plant=_spoil(
@@ -200,11 +262,12 @@ MISTAKES: dict[str, Mistake] = {
             tau=lambda log, j, k: log.tau[:, ::-1],
         ),
         checks=("joint-order", "torque-signal", "limits", *SIGN, *SCALE), reading="torque",
-        joints=2,
+        joints=2, of_columns=True,
     ),
     "a zero a quarter turn off": Mistake(
         plant=_spoil(q=lambda log, j, k: put(log.q, slice(None), j, log.q[:, j] + np.pi / 2)),
         checks=("zero", "limits", "joint-order", *SIGN, *SCALE), reading="torque",
+        of_angles=True,
     ),
     "one torque for two joints": Mistake(
         plant=_spoil(tau=lambda log, j, k: put(log.tau, slice(None), k, log.tau[:, j])),
@@ -216,7 +279,7 @@ MISTAKES: dict[str, Mistake] = {
     ),
     "angles that wrap": Mistake(
         plant=_spoil(q=lambda log, j, k: np.mod(log.q - np.median(log.q, axis=0), 2 * np.pi)),
-        checks=("wrap", "spikes"),
+        checks=("wrap", "spikes"), of_angles=True,
     ),
     "a row far off": Mistake(
         plant=_spoil(
@@ -271,6 +334,8 @@ def _join(parts: list[SmoothPart], key: str) -> Array:
 def can_tell(mistake: Mistake, log: Log, spoilt: Log, j: int, robot: Robot) -> bool:
     """Return whether the true reading beats the planted one by three errors on left-out rows.
 
+    It does so at any joint that the mistake concerns.
+
     Parameters
     ----------
     mistake : that was planted.
@@ -278,6 +343,11 @@ def can_tell(mistake: Mistake, log: Log, spoilt: Log, j: int, robot: Robot) -> b
     j : index of its joint.
     robot : with the model of the bodies.
     """
+    joints = range(j, min(j + mistake.joints, robot.n))
+    return any(_can_joint_tell(mistake, log, spoilt, number, robot) for number in joints)
+
+
+def _can_joint_tell(mistake: Mistake, log: Log, spoilt: Log, j: int, robot: Robot) -> bool:
     if mistake.reading == "rows":
         return True
     if mistake.reading == "scale" and robot.description.known is not None:

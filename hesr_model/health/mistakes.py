@@ -16,10 +16,11 @@ from hesr_model.health.evidence import ModelTorques, SmoothPart, friction_shape
 from hesr_model.health.positions import MAX_EXCESS_SHARE
 from hesr_model.health.referee import CURE_GAIN, Hypothesis, LeftOutRows, Race
 from hesr_model.health.torque import find_sign_change
-from hesr_model.logs.log_format import OPTIONAL, column_names
+from hesr_model.logs.log_format import OPTIONAL, LogUnits, column_names
 from hesr_model.robots.robot import Robot
 from hesr_model.robots.transmission import transform_motion
 from hesr_model.support.arrays import Array, Mask
+from hesr_model.units import REVOLUTE_UNITS
 
 _MAX_UNEXPLAINED_SHARE = 0.8  # largest unexplained share of a torque that shows gravity
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -87,28 +88,103 @@ def generate_mistakes(rows: SupposedRows, robot: Robot, is_moving: Mask) -> Iter
     for j in joints:
         changes = find_sign_change(description, j, position=False)
         position_changes = find_sign_change(description, j, position=True)
-        signs = np.where(np.arange(robot.n) == j, -1.0, 1.0)
-        q, v, a, tau = (signal * signs for signal in (rows.q, rows.v, rows.a, rows.tau))
-        yield Mistake("torque-sign", j, _BACKWARDS, changes, replace(rows, tau=tau))
+        signs = np.diag(np.where(np.arange(robot.n) == j, -1.0, 1.0))
+        corrected = _mix_torque_columns(rows, robot, signs)
+        yield Mistake("torque-sign", j, _BACKWARDS, changes, corrected)
         remedy = "its position and velocity count backwards"
-        yield Mistake("position-sign", j, remedy, position_changes, replace(rows, q=q, v=v, a=a))
+        corrected = _mix_motion_columns(rows, robot, signs)
+        yield Mistake("position-sign", j, remedy, position_changes, corrected)
         remedy = "its position, velocity and torque count backwards"
-        corrected = replace(rows, q=q, v=v, a=a, tau=tau)
+        corrected = _mix_torque_columns(corrected, robot, signs)
         yield Mistake("position-sign", j, remedy, position_changes | changes, corrected)
-    for generate in (_swap_torques, _swap_joints, _estimate_gravity, _move_zeros):
-        yield from generate(rows, robot, joints)
+    # Of two that explain alike the first is the simpler one: a joint's zero is easily a quarter
+    # turn off, but half a turn is rather the gravity of a robot that hangs.
+    yield from _suppose_angle_units(rows, robot)
+    yield from _swap_torques(rows, robot, joints)
+    yield from _swap_joints(rows, robot, joints)
+    yield from _move_zeros(rows, robot, joints, quarters=(1, -1))
+    yield from _estimate_gravity(rows, robot, joints)
+    yield from _move_zeros(rows, robot, joints, quarters=(2,))
+
+
+def _mix_motion_columns(rows: SupposedRows, robot: Robot, mixing: Array) -> SupposedRows:
+    """Return rows whose columns of motion, as the log has them, are mixed.
+
+    Units, gears, coupled motors and zeros belong to places, not to what a column holds.
+
+    Parameters
+    ----------
+    rows : as read.
+    robot : with the description that reads columns.
+    mixing : (n, n) of new columns over those of the log.
+    """
+    description = robot.description
+    coupling = description.logged
+    to_logged = np.eye(robot.n) if coupling is None else coupling.forward
+    scales = description.log.units.factors("q", robot.n) / _find_gear_ratios(robot)
+    to_columns = to_logged / scales[:, None]
+    change = np.linalg.solve(to_columns, mixing @ to_columns).T
+    zero = np.array(description.log.zero or np.zeros(robot.n))
+    return replace(rows, q=(rows.q - zero) @ change + zero, v=rows.v @ change, a=rows.a @ change)
+
+
+def _mix_torque_columns(rows: SupposedRows, robot: Robot, mixing: Array) -> SupposedRows:
+    """Return rows whose columns of torque or current are mixed; see `_mix_motion_columns`."""
+    log_format = robot.description.log
+    gains = log_format.torque_per_ampere
+    quantity = "tau" if gains is None else "current"
+    scales = log_format.units.factors(quantity, robot.n) * _find_gear_ratios(robot)
+    if gains is not None:
+        scales = scales * np.array(gains)
+    return replace(rows, tau=rows.tau / scales @ mixing.T * scales)
+
+
+def _find_gear_ratios(robot: Robot) -> Array:
+    """Return turns (n,) of what the log measures per turn of logged coordinates."""
+    transmission = robot.description.transmission
+    if robot.description.logged is None or transmission is None:
+        return np.ones(robot.n)
+    return transmission.ratios
+
+
+def _suppose_angle_units(rows: SupposedRows, robot: Robot) -> Iterator[Mistake]:
+    """Yield other units of angles, which models without limits cannot contradict."""
+    log_format = robot.description.log
+    is_rotary = ~np.array(robot.slides)
+    quantities = ("q", "dq") if log_format.columns.dq else ("q",)
+    stated_units = {
+        quantity: np.array(log_format.units.expand_per_joint(quantity, robot.n), dtype=object)
+        for quantity in quantities
+    }
+    are_radians = all(
+        np.all(units[is_rotary] == LogUnits.model_fields[quantity].default)
+        for quantity, units in stated_units.items()
+    )
+    if not are_radians or not np.any(is_rotary):
+        return
+    zero = np.array(log_format.zero or np.zeros(robot.n))
+    for unit in ("deg", "rev"):
+        names = {"q": unit, "dq": f"{unit}/s"}
+        changes: dict[str, object] = {}
+        for quantity, units in stated_units.items():
+            new_units = tuple(np.where(is_rotary, names[quantity], units).tolist())
+            changes[f"log.units.{quantity}"] = names[quantity] if is_rotary.all() else new_units
+        sizes = np.where(is_rotary, REVOLUTE_UNITS["q"][unit], 1.0)
+        corrected = replace(
+            rows, q=(rows.q - zero) * sizes + zero, v=rows.v * sizes, a=rows.a * sizes
+        )
+        yield Mistake("angle-unit", -1, f"angles are in {unit}", changes, corrected)
 
 
 def _swap_torques(rows: SupposedRows, robot: Robot, joints: list[int]) -> Iterator[Mistake]:
     description = robot.description
     column_key = "tau" if description.log.torque_per_ampere is None else "current"
     columns = column_names(getattr(description.log.columns, column_key), description.joints)
-    gains = np.array(description.log.torque_per_ampere or np.ones(robot.n))
     for a, b in combinations(joints, 2):
         order = _swap_order(robot.n, a, b)
         swapped_columns = tuple(columns[k] for k in order)
         remedy = f"its torque is swapped with that of joint '{description.joints[b]}'"
-        corrected = replace(rows, tau=rows.tau[:, order] / gains[order] * gains)
+        corrected = _mix_torque_columns(rows, robot, np.eye(robot.n)[order])
         yield Mistake(
             "torque-columns", a, remedy, {f"log.columns.{column_key}": swapped_columns}, corrected
         )
@@ -133,16 +209,19 @@ def _swap_joints(rows: SupposedRows, robot: Robot, joints: list[int]) -> Iterato
             if a < 0
             else f"its columns are swapped with those of joint '{description.joints[b]}'"
         )
-        swapped_signals = {k: getattr(rows, k)[:, order] for k in ("q", "v", "a", "tau")}
-        yield Mistake("joint-order", a, remedy, dict(changes), replace(rows, **swapped_signals))
+        mixing = np.eye(robot.n)[order]
+        corrected = _mix_torque_columns(_mix_motion_columns(rows, robot, mixing), robot, mixing)
+        yield Mistake("joint-order", a, remedy, dict(changes), corrected)
 
 
-def _move_zeros(rows: SupposedRows, robot: Robot, joints: list[int]) -> Iterator[Mistake]:
+def _move_zeros(
+    rows: SupposedRows, robot: Robot, joints: list[int], quarters: Sequence[int]
+) -> Iterator[Mistake]:
     description = robot.description
     for j in joints:
         if robot.slides[j]:
             continue
-        for quarter in (1, -1, 2):
+        for quarter in quarters:
             zero = list(description.log.zero or (0.0,) * robot.n)
             zero[j] += quarter * np.pi / 2.0
             q = rows.q.copy()
@@ -216,6 +295,7 @@ _MAX_LOSS = 1.25  # largest loss of other joints
 _MIN_R2 = 0.6  # minimum R^2 after the correction
 _MIN_GAIN_OVER_SIMPLER = 1.05  # minimum gain over a simpler mistake
 _MAX_MISTAKES = 8  # mistakes searched one after another
+_MAX_NAMED_RIVALS = 2
 
 
 def pool_rows(parts: Sequence[SmoothPart], gravity: Sequence[float]) -> SupposedRows:
@@ -355,6 +435,7 @@ def _find_best_mistake(
     best_mistake = None
     best_share = share_before
     best_gain = 0.0
+    rivals: list[Mistake] = []
     largest_excess = _compute_limit_excess(rows.q, robot)
     for mistake in generate_mistakes(rows, robot, is_moving):
         if _compute_limit_excess(mistake.corrected.q, robot) > largest_excess + MAX_EXCESS_SHARE:
@@ -368,15 +449,26 @@ def _find_best_mistake(
             best_mistake = mistake
             best_share = share_after
             best_gain = float(gain.sum())
-        elif (
-            best_mistake
-            and best_mistake.joint == mistake.joint
-            and float(gain.sum()) * _MIN_GAIN_OVER_SIMPLER > best_gain
-        ):
-            doubt = ", or its position and velocity do (the logs cannot show which)"
-            remedy = best_mistake.remedy.replace(_BACKWARDS, f"{_BACKWARDS}{doubt}")
-            best_mistake = replace(best_mistake, remedy=remedy)
-    return best_mistake, best_share
+            rivals = []
+        elif best_mistake and float(gain.sum()) * _MIN_GAIN_OVER_SIMPLER > best_gain:
+            rivals.append(mistake)
+    if best_mistake is None:
+        return None, best_share
+    remedy = _add_rivals(best_mistake, rivals, robot)
+    return replace(best_mistake, remedy=remedy), best_share
+
+
+def _add_rivals(mistake: Mistake, rivals: Sequence[Mistake], robot: Robot) -> str:
+    """Return the remedy of a mistake, and those that explain the torques as well."""
+    rival_remedies = []
+    for rival in rivals:
+        joint = f" (joint '{robot.joints[rival.joint]}')" if rival.joint != mistake.joint else ""
+        rival_remedies.append("or " + rival.remedy + joint * (rival.joint >= 0))
+    if not rival_remedies:
+        return mistake.remedy
+    # A few examples suffice to doubt it.
+    doubt = ", ".join(rival_remedies[:_MAX_NAMED_RIVALS])
+    return f"{mistake.remedy}, {doubt}; the logs cannot show which"
 
 
 def _compute_limit_excess(q: Array, robot: Robot) -> float:

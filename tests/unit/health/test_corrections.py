@@ -1,11 +1,14 @@
 """Corrections of a robot file, findings that follow from others, and results that are odd."""
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from faulty_logs import SOUND_TORQUE, two_joints, with_units
+from planted_mistakes import MISTAKES, from_columns, to_columns
+from sound_benches import BENCHES
 
 from hesr_model.findings import Finding
 from hesr_model.health.evidence import TorqueFit
@@ -21,9 +24,17 @@ from hesr_model.health.examine import (
     require_sound,
 )
 from hesr_model.health.joints import apply_changes
-from hesr_model.health.proposal import _estimate_constants, _limit_cutoff, _merge_changes
+from hesr_model.health.mistakes import SupposedRows, generate_mistakes
+from hesr_model.health.proposal import (
+    _estimate_constants,
+    _limit_cutoff,
+    _merge_changes,
+    propose,
+)
 from hesr_model.health.referee import Estimate
 from hesr_model.health.torque import find_sign_change
+from hesr_model.logs.log_format import column_names
+from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.robots.robot import Robot, RobotDescription
 
@@ -62,6 +73,61 @@ SIGNS: dict[str, tuple[dict[str, object], int | None, bool, dict[str, tuple[obje
 def test_a_sign_is_corrected_in_the_unit_that_is_declared(case: str, arm: RobotDescription) -> None:
     units, joint, position, changes = SIGNS[case]
     assert find_sign_change(with_units(arm, **units), joint, position=position) == changes
+
+
+COUPLED = ((20.0, 0.0, 0.0), (0.0, -30.0, 0.0), (0.0, 10.0, 40.0))
+DESCRIPTIONS: dict[str, dict[str, object]] = {
+    "joints": {},
+    "zeros and units": {
+        "log.zero": (0.5, -1.0, 2.0), "log.units.q": ("deg", "rad", -1.0),
+        "log.units.tau": ("N.m", "mN.m", "-N.m"),
+    },
+    "currents": {"log.torque_per_ampere": (2.0, -3.0, 0.5), "log.zero": (0.0, 1.0, 0.0)},
+    "coupled motors": {
+        "transmission": {"matrix": COUPLED, "logs": "motor", "friction": "motor"},
+        "log.zero": (0.1, 0.2, -0.3),
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", DESCRIPTIONS)
+def test_a_mistake_is_tried_on_the_rows_that_the_changed_file_reads(
+    case: str, arm: RobotDescription
+) -> None:
+    """Units, gears and zeros belong to the places of columns, not to what they hold."""
+    description = apply_changes(arm, DESCRIPTIONS[case])
+    robot = Robot(description)
+    q, v, a, tau = np.random.default_rng(0).normal(size=(4, 50, 3))
+    log = Log(name="run", t=np.arange(50.0), q=q, dq=v, tau=tau)
+    logged = description.logged
+    rows = SupposedRows(
+        q=q, v=v, a=a, tau=tau if logged is None else logged.torque(tau), gravity=robot.gravity
+    )
+    checks = set()
+    for mistake in generate_mistakes(rows, robot, np.ones(3, dtype=bool)):
+        changed = apply_changes(description, mistake.changes)
+        raw = to_columns(log, description)
+        orders = {
+            key: [_name(description, key).index(name) for name in _name(changed, key)]
+            for key in ("q", "tau", "current")
+        }
+        effort = "tau" if description.log.torque_per_ampere is None else "current"
+        read = from_columns(
+            replace(raw, q=raw.q[:, orders["q"]], tau=raw.tau[:, orders[effort]]), changed
+        )
+        read_tau = read.tau if logged is None else logged.torque(read.tau)
+        np.testing.assert_allclose(mistake.corrected.q, read.q, atol=1e-9, err_msg=mistake.remedy)
+        np.testing.assert_allclose(mistake.corrected.tau, read_tau, atol=1e-9)
+        # Both are derivatives of the position.
+        change = np.linalg.lstsq(q - q.mean(0), read.q - read.q.mean(0), rcond=None)[0]
+        np.testing.assert_allclose(mistake.corrected.v, v @ change, atol=1e-9)
+        np.testing.assert_allclose(mistake.corrected.a, a @ change, atol=1e-9)
+        checks.add(mistake.check)
+    assert {"torque-sign", "position-sign", "torque-columns", "joint-order", "zero"} <= checks
+
+
+def _name(description: RobotDescription, key: str) -> list[str]:
+    return column_names(getattr(description.log.columns, key), description.joints)
 
 
 def test_changes_of_several_findings_are_combined(arm: RobotDescription) -> None:
@@ -172,7 +238,40 @@ def test_the_cutoff_suits_the_slowest_log(
     period: float, cutoff: float, arm: RobotDescription
 ) -> None:
     logs = [two_joints(50, step) for step in (0.001, period)]
-    assert _limit_cutoff(arm, logs, {}).log.filter_cutoff == pytest.approx(cutoff, rel=0.01)
+    stated = arm.log.filter_cutoff
+    limited = _limit_cutoff(arm, logs, {}, stated)
+    assert limited.log.filter_cutoff == pytest.approx(cutoff, rel=0.01)
+    # The rate was one in another unit of time.
+    assert _limit_cutoff(limited, logs[:1], {}, stated).log.filter_cutoff == stated
+
+
+@pytest.mark.parametrize(
+    ("bench_name", "rate", "what", "key", "unit"),
+    [
+        # A sliding joint has no speed in rpm.
+        ("cylinder", 50.0, "dq in rpm", "dq", "rad/s"),
+        ("cylinder", 50.0, "dq in mm/s", "dq", "mm/s"),
+        # Of stamps in ms the rate is 1 Hz or 2 Hz, which is no reason for a slower low pass.
+        ("500 Hz", 1000.0, "t in milliseconds", "t", "ms"),
+        ("500 Hz", 2000.0, "t in milliseconds", "t", "ms"),
+    ],
+)
+def test_units_are_mended_in_the_file(
+    bench_name: str, rate: float, what: str, key: str, unit: str, tmp_path: Path
+) -> None:
+    bench = replace(BENCHES[bench_name], rate=rate, seconds=5.0 if rate > 50.0 else 60.0)
+    robot = Robot(bench.write_description(tmp_path))
+    log = bench.record(0)[0]
+    assert log.dq is not None
+    spoilt = replace(log, dq=1e3 * log.dq)
+    if what in MISTAKES:
+        spoilt = MISTAKES[what].apply(log, 0, robot)
+    path = tmp_path / "run.csv"
+    spoilt.write(path)
+    proposal = propose([path], robot.description, has_model=True)
+    assert getattr(proposal.description.log.units, key) == unit
+    assert proposal.description.log.filter_cutoff == robot.description.log.filter_cutoff
+    assert bool(proposal.examination.findings) == (what == "dq in rpm")
 
 
 @pytest.mark.parametrize(

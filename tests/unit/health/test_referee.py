@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from planted_mistakes import MISTAKES
-from sound_benches import BENCHES, Bench
+from sound_benches import BENCHES, Bench, sines
 
 from hesr_model.health.examine import examine
 from hesr_model.health.joints import apply_changes
@@ -203,3 +203,33 @@ def test_motor_torques_are_not_called_currents(arm_log: Log, arm: RobotDescripti
     assert all(finding.changes for finding in scales)
     for finding in scales:
         np.testing.assert_allclose(finding.changes["log.units.tau"], gear_ratio)
+
+
+def test_slow_friction_with_memory_is_no_lag(tmp_path: Path) -> None:
+    """A single frequency, at which friction builds up for longer than a clock is usually wrong."""
+    bench = replace(
+        BENCHES["cylinder"], speed=sines((15e-3, 0.5)), seconds=20.0, deflection=1e-3, rise=0.0
+    )
+    robot = Robot(bench.write_description(tmp_path))
+    (log,) = bench.record(0)
+    assert examine([log], robot.description, robot).findings == ()
+
+
+@pytest.mark.parametrize(
+    ("what", "check", "key", "value"),
+    [
+        ("q and dq in degrees", "angle-unit", "log.units.q", "deg"),
+        ("a zero a quarter turn off", "zero", "log.zero", (-np.pi / 2.0,)),
+    ],
+)
+def test_angles_of_a_model_without_limits_are_mended(
+    what: str, check: str, key: str, value: object, tmp_path: Path
+) -> None:
+    bench = replace(BENCHES["pendulum"], rate=100.0)
+    robot = Robot(bench.write_description(tmp_path))
+    spoilt = MISTAKES[what].apply(bench.record(0)[0], 0, robot)
+    findings = examine([spoilt], robot.description, robot).findings
+    (finding,) = (finding for finding in findings if finding.check == check)
+    assert finding.changes[key] == value
+    # For one joint gravity from another side is the same as a zero.
+    assert ("cannot show which" in finding.remedy) == (check == "zero")
