@@ -173,6 +173,6 @@ ROBOT = ExportOption(
 RIGID_BODY = ExportOption(
     name="rigid_body",
     type="rigid_body",
-    help="Result of 'hesr identify' for --robot; by default the parameters of the model file.",
+    help="Result of 'hesr identify' for 'robot'; by default the parameters of the model file.",
     requires="robot",
 )

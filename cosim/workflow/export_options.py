@@ -28,7 +28,7 @@ class ExportOptions(TypedDict, total=False):
     """drive: Turns of the motor per turn of the joint; by default 1."""
     rigid_body: BodyArg
     """drive: Result of 'hesr identify' with inertia, stiffness and damping of elastic gears.
-    observer and plant: Result of 'hesr identify' for --robot; by default the parameters of the
+    observer and plant: Result of 'hesr identify' for 'robot'; by default the parameters of the
     model file."""
     properties: bool
     """fmu: Run the physics checks and add their table to the pages."""
