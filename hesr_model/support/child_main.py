@@ -1,8 +1,8 @@
 """Process of a child, which limits itself, then runs functions by name or a server.
 
-Its arguments are numbers and texts as JSON, see `ChildArguments`. On Linux it is four processes:
-this one, one that enters new namespaces, the first one there, which waits for the end of the parent
-or the child, and the child, which alone handles foreign code and files. A nursery forks children.
+Its arguments are numbers and texts as JSON, see `ChildArguments`. On Linux it is three processes:
+this one, the first one in new namespaces, which waits for the end of the parent or the child, and
+the child, which alone handles foreign code and files. A nursery forks children.
 
 Messages are JSON after their length.
 """
@@ -15,6 +15,7 @@ import signal
 import socket
 import struct
 import sys
+import sysconfig
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -29,7 +30,6 @@ MAX_THREADS = 512
 MAX_MESSAGE_LENGTH = 2000  # characters
 LENGTH = struct.Struct("!I")
 _STATUS = struct.Struct("=i")  # of an ended process
-_ENTERED = b"E"  # the namespaces, before the status
 _POLL_PERIOD = 50  # [ms]
 _IS_ENDED = getattr(os, "WEXITED", 0) | getattr(os, "WNOHANG", 0) | getattr(os, "WNOWAIT", 0)
 
@@ -152,52 +152,46 @@ def _limit_threads() -> bool:
     return True
 
 
-def _enter_supervision(*child_files: int) -> list[str]:
+def _enter_supervision(child_files: Sequence[int], *, has_namespaces: bool) -> list[str]:
     """Fork; return in the child the names of the mechanisms that hold. Linux only.
 
     This process ends as the child does. The other processes close the files of the child.
     """
-    status_reader, status_writer = os.pipe()
     rights.adopt_orphans()
-    enters = os.fork() == 0
-    if enters:
-        _supervise_in_namespaces(status_writer, child_files)
-    else:
-        os.close(status_writer)
-        if os.read(status_reader, len(_ENTERED)):
-            _close(child_files)
-            packed = os.read(status_reader, _STATUS.size).ljust(_STATUS.size, b"\xff")
-            _end_as(*_STATUS.unpack(packed))
-        os.close(status_reader)
-        # Without namespaces this process supervises.
-        child = os.fork()
-        if child:
+    if not has_namespaces:
+        if child := os.fork():
             _close(child_files)
             status = _watch(child)
             _kill_descendants()
             _end_as(status)
         rights.end_with_parent()
         return []
-    os.close(status_reader)
-    return [rights.NAMESPACES.name, *([rights.THREADS.name] if _limit_threads() else [])]
-
-
-def _supervise_in_namespaces(status_writer: int, child_files: Sequence[int]) -> None:
-    """Enter namespaces; return in the child. The pipe gets its status, or ends without."""
-    rights.end_with_parent()
     if not rights.enter_namespaces():
-        os._exit(0)
-    os.write(status_writer, _ENTERED)
-    if init := os.fork():
-        _close((status_writer, *child_files))
-        os.waitpid(init, 0)
-        os._exit(0)
+        os._exit(1)
+    status_reader, status_writer = os.pipe()
+    if os.fork():
+        _close([status_writer, *child_files])
+        packed = os.read(status_reader, _STATUS.size).ljust(_STATUS.size, b"\xff")
+        _end_as(*_STATUS.unpack(packed))
+    # The first process in the namespace: with it the kernel ends all others there.
     rights.end_with_parent()
+    os.close(status_reader)
     if child := os.fork():
         _close(child_files)
         os.write(status_writer, _STATUS.pack(_watch(child)))
-        os._exit(0)  # the kernel ends all others in the namespace
+        os._exit(0)
     os.close(status_writer)
+    return [rights.NAMESPACES.name, *([rights.THREADS.name] if _limit_threads() else [])]
+
+
+def _can_enter_namespaces() -> bool:
+    """Try it in a process of its own, which an attempt that fails half-way makes useless."""
+    if sys.platform != "linux":
+        return False
+    trial = os.fork()
+    if trial == 0:
+        os._exit(0 if rights.enter_namespaces() else 1)
+    return os.waitstatus_to_exitcode(os.waitpid(trial, 0)[1]) == 0
 
 
 def _close(files: Sequence[int]) -> None:
@@ -252,12 +246,13 @@ def _end_with_input() -> None:
     os._exit(1)
 
 
-def _become_child(arguments: ChildArguments, report: int) -> NoReturn:
+def _become_child(arguments: ChildArguments, report: int, *, has_namespaces: bool) -> NoReturn:
     """Limit this process, report the mechanisms that hold, and serve."""
     _limit_core_dumps()
     held = []
     if sys.platform == "linux":
-        held += _enter_supervision(arguments.connection, report)
+        files = (arguments.connection, report)
+        held += _enter_supervision(files, has_namespaces=has_namespaces)
         with Path(os.devnull).open("rb") as nothing:
             os.dup2(nothing.fileno(), 0)
         rights.drop_capabilities()
@@ -283,7 +278,8 @@ def main() -> None:
     report = os.dup(1)
     with Path(os.devnull).open("r+b") as nothing:
         os.dup2(nothing.fileno(), 1)
-    _become_child(ChildArguments(first, *others), report)
+    arguments = ChildArguments(first, *others)
+    _become_child(arguments, report, has_namespaces=_can_enter_namespaces())
 
 
 class Fork(NamedTuple):
@@ -305,6 +301,8 @@ def _serve_forks(control: int) -> NoReturn:
     Nothing foreign is handled here. A link gets the status of its child; at its end, and at that of
     `control`, the child is killed.
     """
+    has_namespaces = _can_enter_namespaces()
+    sysconfig.get_paths()  # slow for the first time, and part of the rights of each child
     requests = socket.socket(fileno=control)
     poll = select.poll()
     poll.register(requests, select.POLLIN)
@@ -324,7 +322,7 @@ def _serve_forks(control: int) -> NoReturn:
             if child == 0:
                 os.setsid()
                 _close([control, link, *children])
-                _start_child(request, connection, lifeline, report)
+                _start_child(request, connection, lifeline, report, has_namespaces=has_namespaces)
             _close([connection, lifeline, report])
             process = os.pidfd_open(child)
             children |= dict.fromkeys((process, link), (child, process, link))
@@ -352,14 +350,17 @@ def _load(request: Fork) -> None:
             importlib.import_module(name)
 
 
-def _start_child(request: Fork, connection: int, lifeline: int, report: int) -> NoReturn:
+def _start_child(
+    request: Fork, connection: int, lifeline: int, report: int, *, has_namespaces: bool
+) -> NoReturn:
     try:
         os.dup2(lifeline, 0)
         os.close(lifeline)
         os.chdir(request.folder)
         os.environ.clear()
         os.environ.update(request.environment)
-        _become_child(ChildArguments(connection, *request.arguments), report)
+        arguments = ChildArguments(connection, *request.arguments)
+        _become_child(arguments, report, has_namespaces=has_namespaces)
     finally:
         os._exit(1)
 
