@@ -109,7 +109,7 @@ def _run_compiler(
             command = _confine(command, writable, _list_read_paths(source.parent, command))
         try:
             # Run in the source's folder to keep paths of this machine out of the binary.
-            result = run(command, source.parent, _SECONDS, environment)
+            result = run(command, source.parent, _SECONDS, environment, start_new_session=False)
         except FailedError as error:
             raise ExportError(f"the C compiler cannot be run ({error}).") from error
         if not result.returncode:

@@ -121,16 +121,20 @@ def run(
     folder: Path,
     seconds: float,
     environment: Mapping[str, str] | None = None,
+    *,
+    start_new_session: bool = True,
 ) -> CompletedProcess[str]:
     """Run a program in a folder; raises FailedError, also after `seconds`.
 
-    It sees the variables of this process, or those of an `environment` only.
+    It sees the variables of this process, or those of an `environment` only. Without a session of
+    its own, signals to the group of this process reach it.
     """
     with tempfile.TemporaryFile(dir=folder) as output:
         child = ChildProcess(
             command,
             folder,
             inherited=environment,
+            start_new_session=start_new_session,
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=subprocess.STDOUT,
