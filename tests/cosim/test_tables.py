@@ -187,6 +187,16 @@ def test_a_closed_loop_of_many_joints_is_complete(joints: int) -> None:
     assert "servo inversion, Kx = 5" in text
 
 
+@pytest.mark.parametrize(("smallest", "decimals"), [(0.42e-3, 2), (4.2e-3, 1), (0.42, 0)])
+def test_a_column_shows_two_digits_of_its_smallest_error(smallest: float, decimals: int) -> None:
+    rows = []
+    for error in (smallest, 2.0 * smallest):
+        rmse = np.array([[error, 0.01]])
+        scheme = Scheme(compensation="none")
+        rows.append(Tracked(scheme=scheme, law="lugre", rmse=rmse, last=rmse))
+    assert loop.places(rows) == [decimals, 0]
+
+
 def test_changes_of_an_arm_are_grouped_by_scheme() -> None:
     schemes = [Scheme(compensation="none"), Scheme(compensation="servo_inversion", Kx=5.0)]
     rows = [
