@@ -17,7 +17,15 @@ from small_study import hesr_here
 
 from hesr.extras.paper import measures
 from hesr.extras.paper.evidence import Number, PaperStudy
-from hesr.extras.paper.report import OPEN, REFUTED, REPRODUCED, judge_values
+from hesr.extras.paper.report import (
+    FAILS,
+    HOLDS,
+    OPEN,
+    PARTLY,
+    Judgement,
+    combine_verdicts,
+    judge_values,
+)
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.support.files import models_folder
@@ -31,7 +39,7 @@ def test_every_claim_has_a_measure_with_its_arguments_or_is_not_testable() -> No
     claims = study.claims
     assert [claim.number for claim in claims] == list(range(1, 38))
     measured = [claim for claim in claims if claim.measure]
-    assert len(measured) >= 32
+    assert len(measured) >= 30
     for claim in measured:
         assert claim.at_least is not None or claim.at_most is not None
         measure = getattr(measures, claim.measure)
@@ -50,21 +58,50 @@ def test_every_claim_has_a_measure_with_its_arguments_or_is_not_testable() -> No
 @pytest.mark.parametrize(
     ("values", "least", "most", "expected"),
     [
-        ([(0.6, 0.5, 0.7)], None, 0.7, REPRODUCED),
+        ([(0.6, 0.5, 0.7)], None, 0.7, HOLDS),
         ([(0.6, 0.5, 0.71)], None, 0.7, OPEN),
-        ([(0.8, 0.71, 0.9)], None, 0.7, REFUTED),
-        ([(0.6, 0.5, 0.71), (0.8, 0.71, 0.9)], None, 0.7, REFUTED),
-        ([(1.0, None, None), (2.0, None, None)], 1.0, 2.0, REPRODUCED),
-        ([(1.0, None, None), (2.1, None, None)], 1.0, 2.0, REFUTED),
-        ([(0.6, None, None), (0.8, None, None)], None, (0.6, 0.8), REPRODUCED),
-        ([(0.8, None, None), (0.6, None, None)], None, (0.6, 0.8), REFUTED),
+        ([(0.8, 0.71, 0.9)], None, 0.7, FAILS),
+        ([(0.6, 0.5, 0.71), (0.8, 0.71, 0.9)], None, 0.7, FAILS),
+        ([(0.6, 0.5, 0.71), (0.6, 0.5, 0.69)], None, 0.7, PARTLY),
+        ([(1.0, None, None), (2.0, None, None)], 1.0, 2.0, HOLDS),
+        ([(1.0, None, None), (2.1, None, None)], 1.0, 2.0, PARTLY),
+        ([(0.6, None, None), (0.8, None, None)], None, (0.6, 0.8), HOLDS),
+        ([(0.8, None, None), (0.6, None, None)], None, (0.6, 0.8), PARTLY),
         ([(0.9, 0.8, 1.0)], 1.0, None, OPEN),
         ([(math.nan, None, None)], None, 1.0, OPEN),
     ],
 )
 def test_a_verdict_needs_whole_intervals(values, least, most, expected) -> None:
-    numbers = [Number(value=v, low=low, high=high) for v, low, high in values]
-    assert judge_values(numbers, least, most) == expected
+    numbers = {
+        f"J{k}": Number(value=v, low=low, high=high) for k, (v, low, high) in enumerate(values, 1)
+    }
+    judgement = judge_values(numbers, least, most)
+    assert judgement.verdict == expected
+    assert (judgement.holding == tuple(numbers)) == (expected == HOLDS)
+    assert bool(judgement.holding) == (expected in (HOLDS, PARTLY))
+
+
+def test_a_value_with_too_few_data_decides_nothing() -> None:
+    numbers = {"J1": Number(value=0.1, is_open=True), "J2": Number(value=0.2, low=0.1, high=0.3)}
+    assert judge_values(numbers, None, 0.7).verdict == PARTLY
+    assert judge_values({"J1": numbers["J1"]}, None, 0.7).verdict == OPEN
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "expected"),
+    [
+        ([HOLDS, HOLDS], HOLDS),
+        ([HOLDS, OPEN], HOLDS),
+        ([HOLDS, FAILS], PARTLY),
+        ([PARTLY, PARTLY], PARTLY),
+        ([FAILS, OPEN], FAILS),
+        ([OPEN], OPEN),
+        ([], OPEN),
+    ],
+)
+def test_the_verdict_is_that_of_all_true_frictions(verdicts, expected) -> None:
+    truths = {f"{k}": Judgement(values={}, verdict=one) for k, one in enumerate(verdicts)}
+    assert combine_verdicts(truths) == expected
 
 
 def steady(law: FrictionLaw, speeds: np.ndarray) -> np.ndarray:
@@ -172,15 +209,19 @@ def test_the_first_lines_state_what_explains_the_gain() -> None:
     gains = [100.0 * (1.0 - float(own[c]) / float(bounded[c])) for c in head[1::2]]
     assert f"with F_s >= F_c it is {min(gains):.0f} to {max(gains):.0f} %" in first
     verdicts = [row[-1] for row in rows_of("claims")[1:]]
-    counts = [verdicts.count(one) for one in (REPRODUCED, REFUTED, OPEN)]
+    counts = [verdicts.count(one) for one in (HOLDS, PARTLY, FAILS, OPEN)]
     assert sum(counts) == 37
-    text = "Of 37 claims, {} are reproduced, {} are not reproduced and {} are not testable."
-    assert text.format(*counts) in " ".join(lines)
+    text = "Of 37 claims, {} hold, {} hold partly, {} fail and {} are not testable."
+    sentence = text.format(*counts)
+    assert sentence in " ".join(lines)
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert sentence in " ".join(readme.split())
 
 
 def small(folder: Path) -> Path:
     """Write the shipped study with short motions, few starts and one closed loop."""
     study = (STUDIES / "paper.toml").read_text(encoding="utf-8")
+    study = re.sub(r'(UR10|cylinder) = "../.*"\n', "", study)
     study = study.replace('"../', f'"{models_folder().as_posix()}/')
     study = re.sub(r"seeds = \[.*\]", "seeds = [101, 102]", study)
     study = study.replace("duration = 10.0", "duration = 4.0")
@@ -208,12 +249,13 @@ def test_a_short_run_judges_every_claim(tmp_path: Path, capsys, monkeypatch) -> 
     limits = tomllib.loads((STUDIES / "paper.toml").read_text(encoding="utf-8"))["claims"]
     for one, claim in zip(found["claims"], limits, strict=True):
         assert one["claim"]["number"] == claim["number"]
-        assert one["verdict"] == derived(one["values"], claim), claim["number"]
-    assert sum(bool(one["values"]) for one in found["claims"]) >= 32
+        for judgement in one["truths"].values():
+            assert judgement["verdict"] == derived(judgement["values"], claim), claim["number"]
+    assert sum(bool(one["truths"]) for one in found["claims"]) >= 30
     own = found["rmse"]["LuGre"]
     fair, static = own["lugre"], own["lugre_static_first"]
     assert all(fair[label]["value"] < static[label]["value"] for label in fair)
-    assert len(list((results / "tables").glob("*.csv"))) == 4
+    assert len(list((results / "tables").glob("*.csv"))) == 8
     assert "Claims of the paper" in (results / "report.html").read_text(encoding="utf-8")
     answer = hesr("report", results, "-o", tmp_path / "page.md")
     assert answer.code == 0, answer.err
@@ -228,14 +270,18 @@ def derived(values: dict[str, dict[str, float | None]], claim: dict[str, object]
     """Verdict of a claim, interval by interval."""
     if not values:
         return "not testable"
-    parts = []
+    is_within = []
+    is_outside = []
     for k, one in enumerate(values.values()):
         ends = [one["value"] if one[end] is None else one[end] for end in ("low", "high")]
         floor, ceiling = (
             limit[k] if isinstance(limit, list) else limit
             for limit in (claim.get("at_least", -math.inf), claim.get("at_most", math.inf))
         )
-        if ends[1] < floor or ends[0] > ceiling:
-            return "not reproduced"
-        parts.append(floor <= ends[0] and ends[1] <= ceiling)
-    return "reproduced" if all(parts) else "not testable"
+        is_outside.append(not one["is_open"] and (ends[1] < floor or ends[0] > ceiling))
+        is_within.append(not one["is_open"] and floor <= ends[0] and ends[1] <= ceiling)
+    if all(is_within):
+        return "holds"
+    if any(is_within):
+        return "partly"
+    return "fails" if any(is_outside) else "not testable"

@@ -18,6 +18,7 @@ from cosim.study.scores import LogRecords, predict_models, select_records, selec
 from cosim.study.steps import Job
 from cosim.study.study import Study, Twin
 from fmu_src.arm.truth import true_friction
+from fmu_src.friction.built_in import model_file
 from fmu_src.friction.friction_fmu import export_bare
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
@@ -29,7 +30,7 @@ from hesr_model.rigid_body.residual import FrictionRecord, find_resting_speed, f
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 from hesr_model.support.progress import Stages
-from hesr_model.support.typed_files import Config
+from hesr_model.support.typed_files import Config, RelativePath
 
 Limit = float | tuple[float, ...]  # for all values of a claim, or one for each
 
@@ -44,7 +45,8 @@ class Claim(Config):
     test: str  # meaning of the values
     measure: str = ""  # function of `hesr.extras.paper.measures`; none if not testable
     options: Mapping[str, Any] = {}  # its arguments
-    joint: str = ""  # the only one, such as J2
+    joint: str | tuple[str, ...] = ""  # the only ones, such as J2
+    everywhere: bool = True  # also judged where another law is the true friction, and on logs
     at_least: Limit | None = None
     at_most: Limit | None = None
 
@@ -56,24 +58,30 @@ class PaperStudy(Study):
     sine: tuple[str, ...] = Field(min_length=1)  # log that trains each joint
     literal: str  # the paper's own law, a variant
     controllers: Mapping[str, Mapping[str, PerJoint | float]]  # changed gains by name
+    measured: Mapping[str, RelativePath] = {}  # studies of measured robots by name
     twin: Twin
     tracking: Tracking
 
 
 TWIN = "twin"
-LUGRE = "LuGre"  # these two are true frictions
+LUGRE = "LuGre"
+STRAIN_WAVE = "strain wave"
+TABLE_1 = "Table I"  # these four are true frictions
+MEASURED = "measured"
 SINE = "sine"
 SWEEP = "sweep"  # these two are training motions
+_MAIN_TEST = "fourier"  # the test set of the paper's tables; of measured robots their own
 Records = Sequence[Sequence[FrictionRecord]]  # [joint][log]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Number:
-    """A value and its 95 % interval, if the data allow one."""
+    """A value and its 95 % interval, if it has one; `is_open` if the data are too few for it."""
 
     value: float
     low: float | None = None
     high: float | None = None
+    is_open: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -116,7 +124,7 @@ class Case:
         ratio = comparison.ratios(
             min(rivals, key=lambda rival: comparison.log_rmse[comparison.laws.index(rival)])
         )[law_name]
-        return Number(value=ratio.value, low=ratio.low, high=ratio.high)
+        return Number(value=ratio.value, low=ratio.low, high=ratio.high, is_open=ratio.low is None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,14 +163,14 @@ def gather_evidence(study: PaperStudy, path: Path, folder: Path, progress: Stage
     }
     cases = {TWIN: dict(_evaluate_cases(job, study, records, job.laws))}
     models = cases[TWIN][SWEEP].models
-    laws = [
-        law_name
-        for law_name in models
-        if "lugre" in law_name or law_name in ("stribeck", study.literal)
-    ]
-    cases[LUGRE] = dict(
-        _evaluate_cases(job, study, _replace_truth(models["lugre"], records, recordings), laws)
-    )
+    for truth, true_model in _find_truths(job, study, records, models).items():
+        true_records = _replace_truth(true_model, records, recordings)
+        cases[truth] = dict(_evaluate_cases(job, study, true_records, job.laws))
+    if study.measured:
+        cases[MEASURED] = {
+            name: _evaluate_measured(job, study, study_path)
+            for name, study_path in study.measured.items()
+        }
     require_reachable(study.tracking, robot)
     true_model = true_friction(
         plant.model, plant.joints, sample_time=1.0 / plant.sample_rate, losses=signals.losses
@@ -217,40 +225,90 @@ def _replace_truth(
     return records_by_log
 
 
+def _find_truths(
+    job: Job, study: PaperStudy, records: LogRecords, models: Mapping[str, FrictionModel]
+) -> dict[str, FrictionModel]:
+    """Return the laws that replace the friction of the twin, fitted to it or printed."""
+    sweep_records = select_records(study.logs.training, records)
+    strain_wave = fit_models(
+        ["strain_wave"],
+        sweep_records,
+        robot=job.robot.name,
+        seed=study.seed,
+        progress=partial(job.progress, "fitting a true law"),
+    )
+    return {
+        LUGRE: models["lugre"],
+        STRAIN_WAVE: strain_wave["strain_wave"],
+        TABLE_1: FrictionModel.read(model_file("uf850-table1")),
+    }
+
+
 def _evaluate_cases(
     job: Job, study: PaperStudy, log_records: LogRecords, laws: Sequence[str]
 ) -> Iterator[tuple[str, Case]]:
-    variants = {name: variant for name, variant in study.variants.items() if name in laws}
+    """Yield the case of each training motion."""
     tests = {test: select_records(names, log_records) for test, names in study.logs.test.items()}
     sine_records = [[log_records[name][0][j]] for j, name in enumerate(study.sine)]
-    for name, records in {
+    training_records = {
         SINE: sine_records,
         SWEEP: select_records(study.logs.training, log_records),
-    }.items():
-        models = fit_models(
-            laws,
-            records,
-            robot=job.robot.name,
-            seed=study.seed,
-            options={
-                **study.options,
-                **{law_name: variant.options for law_name, variant in variants.items()},
-            },
-            variants={law_name: variant.law for law_name, variant in variants.items()},
-            progress=partial(job.progress, f"fitting laws to the {name}"),
-        )
-        torques = {
-            test: predict_models(models, test_records) for test, test_records in tests.items()
+    }
+    for name, records in training_records.items():
+        yield name, _fit_case(job, study, name, records, tests, laws)
+
+
+def _evaluate_measured(job: Job, study: PaperStudy, study_path: Path) -> Case:
+    """Return the case of a measured robot, by the split of its own study."""
+    measured_study = Study.read(study_path)
+    measured_job = Job(study=measured_study, path=study_path, progress=job.progress)
+    robot = Robot(measured_job.robot)
+    files = measured_job.log_files(study_path.parent)
+    logs = {name: measured_job.read(name, file) for name, file in files.items()}
+    body, _ = measured_job.rigid_body(logs, robot)
+    records = {
+        name: [friction_records(part, robot, body) for part in log.parts()]
+        for name, log in logs.items()
+    }
+    names = [name for test in measured_study.logs.test.values() for name in test]
+    tests = {_MAIN_TEST: select_records(names, records)}
+    training_records = select_records(measured_study.logs.training, records)
+    return _fit_case(job, study, measured_study.name, training_records, tests, job.laws)
+
+
+def _fit_case(
+    job: Job,
+    study: PaperStudy,
+    name: str,
+    records: Records,
+    tests: Mapping[str, Records],
+    laws: Sequence[str],
+) -> Case:
+    """Fit laws to records, and predict the test sets and those bands that they have."""
+    tests = dict(tests)
+    variants = {name: variant for name, variant in study.variants.items() if name in laws}
+    models = fit_models(
+        laws,
+        records,
+        robot=job.robot.name,
+        seed=study.seed,
+        options={
+            **study.options,
+            **{law_name: variant.options for law_name, variant in variants.items()},
+        },
+        variants={law_name: variant.law for law_name, variant in variants.items()},
+        progress=partial(job.progress, f"fitting laws to the {name}"),
+    )
+    torques = {test: predict_models(models, test_records) for test, test_records in tests.items()}
+    for band in study.bands:
+        if band.test not in tests:
+            continue
+        windows = {
+            law_name: select_window(tests[band.test], test_torques, band.start, band.stop)
+            for law_name, test_torques in torques[band.test].items()
         }
-        for band in study.bands:
-            law_torques = torques[band.test].items()
-            windows = {
-                law_name: select_window(tests[band.test], test_torques, band.start, band.stop)
-                for law_name, test_torques in law_torques
-            }
-            torques[band.name] = {
-                law_name: predictions_in_band
-                for law_name, (_, predictions_in_band) in windows.items()
-            }
-            tests[band.name] = next(iter(windows.values()))[0]
-        yield name, Case(models=models, training_records=records, tests=tests, torques=torques)
+        torques[band.name] = {
+            law_name: predictions_in_band for law_name, (_, predictions_in_band) in windows.items()
+        }
+        tests[band.name] = next(iter(windows.values()))[0]
+    return Case(models=models, training_records=records, tests=tests, torques=torques)

@@ -28,6 +28,9 @@ from hesr_model.motions.excitation import condition
 from hesr_model.motions.trajectories import Fourier
 
 Values = Mapping[str, Number]
+CASE_MEASURES: set[str] = set()
+"""Measures that can be taken for every true friction, and on measured logs."""
+_TEST_OPTIONS = ("test", "low", "high")  # name test sets
 
 
 def _as_number(value: float | Number) -> Number:
@@ -36,11 +39,11 @@ def _as_number(value: float | Number) -> Number:
 
 def _measure_joints(measure_joint: Callable[..., float | Number]) -> Callable[..., Values]:
     @wraps(measure_joint)
-    def measure(*evidence_and_case: Any, **options: Any) -> Values:
-        numbered_joints = enumerate(joints(evidence_and_case[0].robot.n))
+    def measure(evidence: Evidence, *case: Case, **options: Any) -> Values:
+        joint_count = len(case[0].training_records) if case else evidence.robot.n
         return {
-            name: _as_number(measure_joint(*evidence_and_case, j, **options))
-            for j, name in numbered_joints
+            name: _as_number(measure_joint(evidence, *case, j, **options))
+            for j, name in enumerate(joints(joint_count))
         }
 
     return measure
@@ -49,9 +52,12 @@ def _measure_joints(measure_joint: Callable[..., float | Number]) -> Callable[..
 def _measure_cases(measure_case: Callable[..., float | Number]) -> Callable[..., Values]:
     @wraps(measure_case)
     def measure(evidence: Evidence, *, truth: str = TWIN, **options: Any) -> Values:
+        # Measured robots have no chirps.
+        tests = {options[key] for key in _TEST_OPTIONS if key in options}
         values_by_case = {
             motion: _measure_joints(measure_case)(evidence, case, **options)
             for motion, case in evidence.cases[truth].items()
+            if tests <= set(case.tests)
         }
         return {
             f"{motion} {name}": value
@@ -59,6 +65,7 @@ def _measure_cases(measure_case: Callable[..., float | Number]) -> Callable[...,
             for name, value in joint_values.items()
         }
 
+    CASE_MEASURES.add(measure_case.__name__)
     return measure
 
 
@@ -181,16 +188,6 @@ def explained(evidence: Evidence, j: int, *, log: str, by: str) -> float:
         else (record.tau - truth, record.tau)
     )
     return 1.0 - float(np.var(unexplained) / np.var(total))
-
-
-@_measure_cases
-def euler_factor(evidence: Evidence, case: Case, j: int) -> float:
-    """Return 1 - alpha dt of the literal law."""
-    return (
-        1.0
-        - _literal_law(evidence, case, j).values["alpha"]
-        * case.models[evidence.study.literal].sample_time
-    )
 
 
 @_measure_cases

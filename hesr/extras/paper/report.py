@@ -24,16 +24,27 @@ from cosim.report.tables.table import (
 from cosim.workflow.answer import Written
 from fmu_src.pages.html import code_templates
 from hesr.extras.paper import measures
-from hesr.extras.paper.evidence import LUGRE, TWIN, Claim, Evidence, Limit, Number
+from hesr.extras.paper.evidence import (
+    LUGRE,
+    MEASURED,
+    STRAIN_WAVE,
+    TABLE_1,
+    TWIN,
+    Claim,
+    Evidence,
+    Limit,
+    Number,
+)
 from hesr_model.errors import ArgumentError
 from hesr_model.inference.comparison import ErrorRatio
 from hesr_model.support.files import written_together
 from hesr_model.support.typed_files import from_json, read_json
 
-FORMAT = "hesr-paper-1"
+FORMAT = "hesr-paper-2"
 FILE = "paper.json"
-REPRODUCED = "reproduced"
-REFUTED = "not reproduced"
+HOLDS = "holds"
+PARTLY = "partly"
+FAILS = "fails"
 OPEN = "not testable"
 _TEMPLATES = code_templates(Path(__file__).parent / "templates")
 _TITLES = {
@@ -43,11 +54,20 @@ _TITLES = {
 
 
 @dataclass(frozen=True, kw_only=True)
+class Judgement:
+    """Values of a claim under one true friction, the verdict, and the values that hold."""
+
+    values: Mapping[str, Number]
+    verdict: str
+    holding: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
 class Judged:
-    """A claim, its values on the twin and the verdict."""
+    """A claim, its judgement by true friction, and the verdict over all of them."""
 
     claim: Claim
-    values: Mapping[str, Number]
+    truths: Mapping[str, Judgement]
     verdict: str
 
 
@@ -96,38 +116,72 @@ class PaperResult:
         )
 
 
-def judge_values(values: Sequence[Number], at_least: Limit | None, at_most: Limit | None) -> str:
+def judge_values(
+    values: Mapping[str, Number], at_least: Limit | None, at_most: Limit | None
+) -> Judgement:
     """Compare the intervals of values with limits.
 
-    A claim is reproduced if all are within, not reproduced if one is outside, else not testable.
+    A claim holds if all intervals are within the limits, and fails if none is and one is outside.
+    It holds partly if some are within; it is not testable if all intervals contain a limit.
     """
-    lower_ends = np.array([value.value if value.low is None else value.low for value in values])
-    upper_ends = np.array([value.value if value.high is None else value.high for value in values])
+    numbers = list(values.values())
+    lower_ends = np.array([value.value if value.low is None else value.low for value in numbers])
+    upper_ends = np.array([value.value if value.high is None else value.high for value in numbers])
     lower_limit = -np.inf if at_least is None else np.array(at_least)
     upper_limit = np.inf if at_most is None else np.array(at_most)
-    if np.any((upper_ends < lower_limit) | (lower_ends > upper_limit)):
-        return REFUTED
-    return REPRODUCED if np.all((lower_ends >= lower_limit) & (upper_ends <= upper_limit)) else OPEN
+    is_known = np.array([not value.is_open for value in numbers])
+    is_within = is_known & (lower_ends >= lower_limit) & (upper_ends <= upper_limit)
+    is_outside = is_known & ((upper_ends < lower_limit) | (lower_ends > upper_limit))
+    holding = tuple(label for label, holds in zip(values, is_within, strict=True) if holds)
+    if is_within.all():
+        verdict = HOLDS
+    elif is_within.any():
+        verdict = PARTLY
+    else:
+        verdict = FAILS if is_outside.any() else OPEN
+    return Judgement(values=values, verdict=verdict, holding=holding)
 
 
 def judge_claim(claim: Claim, evidence: Evidence) -> Judged:
-    """Measure a claim and judge it."""
-    if not claim.measure:
-        return Judged(claim=claim, values={}, verdict=OPEN)
-    measured = getattr(measures, claim.measure)(evidence, **claim.options)
-    values = {label: value for label, value in measured.items() if label.endswith(claim.joint)}
-    decision = judge_values([*values.values()], claim.at_least, claim.at_most)
-    return Judged(claim=claim, values=values, verdict=decision)
+    """Measure a claim under each true friction and judge it."""
+    truths: dict[str, Judgement] = {}
+    if claim.measure:
+        is_general = claim.measure in measures.CASE_MEASURES and claim.everywhere
+        for truth in evidence.cases if is_general else [TWIN]:
+            options = {**claim.options, "truth": truth} if is_general else claim.options
+            measured = getattr(measures, claim.measure)(evidence, **options)
+            values = {name: value for name, value in measured.items() if name.endswith(claim.joint)}
+            if values:
+                truths[truth] = judge_values(values, claim.at_least, claim.at_most)
+    return Judged(claim=claim, truths=truths, verdict=combine_verdicts(truths))
+
+
+def combine_verdicts(truths: Mapping[str, Judgement]) -> str:
+    """Return the verdict over all true frictions."""
+    verdicts = {judgement.verdict for judgement in truths.values()} - {OPEN}
+    if not verdicts:
+        return OPEN
+    return verdicts.pop() if len(verdicts) == 1 else PARTLY
 
 
 def tables(result: PaperResult) -> dict[str, ResultTable]:
     """Return all tables by title."""
-    return {
+    sections = {
         "Claims": _build_claim_table(result.claims),
+        "Claims by true friction": _build_truth_table(result.claims),
         "Prediction on the twin": _build_error_table(result, TWIN, "the bristles of the MJCF are"),
         "Prediction where LuGre is the truth": _build_error_table(result, LUGRE, "LuGre is"),
+        "Prediction where a strain wave is the truth": _build_error_table(
+            result, STRAIN_WAVE, "a strain-wave gear is"
+        ),
+        "Prediction where Table I is the truth": _build_error_table(
+            result, TABLE_1, "the laws of Table I are"
+        ),
         "Tracking": _build_tracking_table(result.tracking),
     }
+    if MEASURED in result.rmse:
+        sections["Prediction on measured joints"] = _build_error_table(result, MEASURED, "")
+    return sections
 
 
 def _build_claim_table(claims: Sequence[Judged]) -> ResultTable:
@@ -137,10 +191,7 @@ def _build_claim_table(claims: Sequence[Judged]) -> ResultTable:
             f"{claim.text} ({claim.where})",
             claim.printed,
             claim.test,
-            "; ".join(
-                f"{label} {_format_number(value)}".strip() for label, value in judged.values.items()
-            )
-            or "–",
+            _format_values(judged),
             _format_limits(claim),
             judged.verdict,
         )
@@ -153,6 +204,37 @@ def _build_claim_table(claims: Sequence[Judged]) -> ResultTable:
         rows=rows,
         numeric=False,
     )
+
+
+def _build_truth_table(claims: Sequence[Judged]) -> ResultTable:
+    """Return the verdict of each claim under each true friction, and where it holds partly."""
+    names = list(dict.fromkeys(truth for judged in claims for truth in judged.truths))
+    rows = []
+    for judged in claims:
+        cells = [_format_judgement(judged.truths.get(truth)) for truth in names]
+        rows.append(make_row(str(judged.claim.number), judged.claim.text, *cells))
+    return ResultTable(
+        caption="Verdicts by true friction; on measured joints by the split of their own study",
+        head=("no.", "claim", *names),
+        rows=rows,
+        numeric=False,
+    )
+
+
+def _format_judgement(judgement: Judgement | None) -> str:
+    if judgement is None:
+        return "–"
+    if judgement.verdict != PARTLY:
+        return judgement.verdict
+    return f"{PARTLY}: {', '.join(judgement.holding)}"
+
+
+def _format_values(judged: Judged) -> str:
+    """Return the values on the twin."""
+    if TWIN not in judged.truths:
+        return "–"
+    values = judged.truths[TWIN].values
+    return "; ".join(f"{label} {_format_number(value)}".strip() for label, value in values.items())
 
 
 def _format_number(number: Number) -> str:
@@ -173,6 +255,10 @@ def _format_limits(claim: Claim) -> str:
 
 
 def _build_error_table(result: PaperResult, truth: str, words: str) -> ResultTable:
+    where = f"[N.m] where {words} the true friction"
+    if truth == MEASURED:
+        where = "[N.m; N] of measured joints, by the split of their own study"
+
     def cells(law_name: str) -> Iterator[TableCell]:
         ratios = result.ratios[truth].get(law_name, {})
         for label, value in result.rmse[truth][law_name].items():
@@ -183,7 +269,7 @@ def _build_error_table(result: PaperResult, truth: str, words: str) -> ResultTab
             yield fixed_cell(value.value, 2, notes=notes or ())
 
     return ResultTable(
-        caption=f"RMSE of the predicted torque [N.m] where {words} the true friction; small: error "
+        caption=f"RMSE of the predicted torque {where}; small: error "
         "of ParFam-H (paper) over that of the law, with its 95\u00a0% interval",
         head=("law", *next(iter(result.rmse[truth].values()))),
         rows=[
