@@ -85,6 +85,16 @@ class SmoothPart:
             return v_noise, np.zeros_like(v_noise)
         return v_noise, passed * estimate_white_noise(self.log.dq)
 
+    def estimate_acceleration_noise(self) -> Array:
+        """Return what white noise of the positions adds to `a` (n,), as standard deviations."""
+        position_noise = estimate_white_noise(self.log.q)
+        if self.settling == 0.0:
+            return np.zeros_like(position_noise)
+        cutoff = 1.0 / self.settling
+        passed = _compute_passed_share(cutoff, self.log.period)
+        # The ratio of the integrals of x^4 / (1 + x^4)^2 and 1 / (1 + x^4)^2 is that of x^2.
+        return np.asarray(_NOISE_FREQUENCY * 2.0 * np.pi * cutoff**2 * passed * position_noise)
+
     def thin(self, max_rows: int) -> "SmoothPart":
         """Return at most `max_rows` rows, evenly spread."""
         return select_rows(self, slice(None, None, -(-len(self.t) // max_rows)))

@@ -42,6 +42,8 @@ _MAX_PEAK_TO_LIMIT = 10.0
 _MIN_RATIO_TO_OTHERS = 30.0  # peak over the model's limit, others over own
 _SIGNIFICANCE = 5.0  # standard errors that choose between gravity and inertia as a measure
 _TELLING_MOTION = "motion that reverses, at several speeds"
+_MASS_ROWS = 40  # at which mass matrices are evaluated
+_MIN_RELIABILITY = 0.1  # share of an inertial torque that is no noise, below which nothing is told
 TorqueFits = Mapping[int, TorqueFit]  # by index of the joint
 
 
@@ -154,6 +156,24 @@ class Explanations:
             coefficients = np.linalg.lstsq(columns / size, self.tau, rcond=1e-9)[0] / size
             scales.append(float(coefficients[kind]))
         return 0.5 * (max(scales) - min(scales))
+
+    def estimate_reliability(self, robot: Robot) -> float:
+        """Return the share of the model's inertial torque that noise of positions does not feign.
+
+        What gravity and friction explain of it does not count, since it decides nothing.
+        """
+        rows = self.part.q[:: -(-len(self.part.q) // _MASS_ROWS)]
+        masses, _ = robot.dynamics(robot.nominal_parameters, rows, np.zeros_like(rows))
+        torque_noise = masses.transpose(0, 2, 1) * self.part.estimate_acceleration_noise()[:, None]
+        coupling = robot.description.logged
+        if coupling is not None:
+            torque_noise = coupling.torque(torque_noise)
+        noise_square = float(np.mean(np.sum(torque_noise[:, :, self.j] ** 2, axis=1)))
+        others = np.column_stack([self.gravity, self.friction])
+        size = np.maximum(np.linalg.norm(others, axis=0), 1e-150)
+        coefficients = np.linalg.lstsq(others / size, self.inertial, rcond=1e-9)[0]
+        residual = self.inertial - others / size @ coefficients
+        return max(1.0 - noise_square / max(float(np.mean(residual**2)), 1e-300), 0.0)
 
     @cached_property
     def explained_share(self) -> Estimate:
@@ -377,6 +397,14 @@ def _doubt_scale(
     high = _MAX_SCALE if by_gravity else np.inf
     if 1.0 / _MAX_SCALE <= estimate.value <= high or not np.isfinite(estimate.error):
         return
+    if explanations is not None and not by_gravity:
+        reliability = explanations.estimate_reliability(robot)
+        if reliability < _MIN_RELIABILITY:
+            return
+        # Noise of the acceleration reduces the estimate by its share.
+        estimate = Estimate(value=estimate.value / reliability, error=estimate.error / reliability)
+        if estimate.value >= 1.0 / _MAX_SCALE:
+            return
     if explanations is not None:
         spread = explanations.estimate_spread(0 if by_gravity else 1)
         estimate = Estimate(value=estimate.value, error=max(estimate.error, spread / _SIGNIFICANCE))

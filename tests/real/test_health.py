@@ -45,6 +45,19 @@ def test_only_the_last_wrist_joint_of_a_tiago_is_odd_for_lack_of_signal() -> Non
     assert found == [("torque-signal", ("arm_7_joint",))]
 
 
+@pytest.mark.parametrize(("start", "stop"), [(9.0, 44.4), (44.4, 68.0)])
+def test_accelerations_of_noise_tell_no_torque_constant(start: float, stop: float) -> None:
+    """Nine tenths of a slow torso's acceleration are noise of its position."""
+    path = SHARED / "tiago_arm" / "tiago_excitation.csv"
+    if not path.is_file():
+        pytest.skip(f"measured logs are not next to the repository, in {SHARED}")
+    robot = Robot(Path(__file__).with_name("tiago.toml"))
+    log = Log.read(path, robot)
+    part = log.rows(np.flatnonzero((log.t >= start) & (log.t < stop)))
+    checks = {finding.check for finding in examine([part], robot.description, robot).findings}
+    assert checks == {"torque-signal"}
+
+
 def test_backward_currents_of_a_tiago_are_found_from_its_urdf_alone() -> None:
     """The source of the log gives -8.7 N.m/A for joints 3 and 4; positions stay in the limits."""
     folder = SHARED / "tiago_arm"

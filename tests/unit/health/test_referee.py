@@ -233,3 +233,26 @@ def test_angles_of_a_model_without_limits_are_mended(
     assert finding.changes[key] == value
     # For one joint gravity from another side is the same as a zero.
     assert ("cannot show which" in finding.remedy) == (check == "zero")
+
+
+@pytest.mark.parametrize(
+    ("speed", "noise", "factor", "is_found"),
+    [
+        (sines((0.3, 0.23), (0.2, 0.7)), 3e-4, 0.05, True),
+        (sines((0.1, 0.1), (0.05, 0.3)), 3e-4, 1.0, False),
+        (sines((0.1, 0.1), (0.05, 0.3)), 1e-3, 1.0, False),
+    ],
+)
+def test_a_scale_is_not_told_by_accelerations_of_noise(
+    speed: Callable[[Array], Array], noise: float, factor: float, is_found: bool, tmp_path: Path
+) -> None:
+    """Noise of a position that is slow against it hides the inertia, however large."""
+    bench = replace(
+        BENCHES["500 Hz"], speed=speed, known=True, inertia=0.5, position_noise=noise,
+        torque_noise=0.01,
+    )  # fmt: skip
+    robot = Robot(bench.write_description(tmp_path))
+    (log,) = bench.record(0)
+    log = replace(log, tau=factor * log.tau, dq=None)
+    checks = {finding.check for finding in examine([log], robot.description, robot).findings}
+    assert checks == ({"torque-scale"} if is_found else set())
