@@ -290,6 +290,7 @@ def _swap_order(n: int, a: int, b: int) -> list[int]:
 
 
 _MAX_ROWS = 450  # total
+_MAX_GRAVITY_FACTOR = 10.0  # of the model's gravity; real arms have 0.6 to 1.5
 _MIN_GAIN = 2.0  # minimum gain of a corrected joint
 _MAX_LOSS = 1.25  # largest loss of other joints
 _MIN_R2 = 0.6  # minimum R^2 after the correction
@@ -445,6 +446,10 @@ def _find_best_mistake(
         is_explained = (gain > np.log(_MIN_GAIN)) & (1.0 - share_after**2 > _MIN_R2)
         if not np.any(is_explained) or np.min(gain) < -np.log(_MAX_LOSS):
             continue
+        if mistake.check == "angle-unit" and _exceeds_gravity(
+            mistake.corrected, robot, int(np.argmax(gain))
+        ):
+            continue
         if float(gain.sum()) > best_gain * _MIN_GAIN_OVER_SIMPLER:
             best_mistake = mistake
             best_share = share_after
@@ -469,6 +474,18 @@ def _add_rivals(mistake: Mistake, rivals: Sequence[Mistake], robot: Robot) -> st
     # A few examples suffice to doubt it.
     doubt = ", ".join(rival_remedies[:_MAX_NAMED_RIVALS])
     return f"{mistake.remedy}, {doubt}; the logs cannot show which"
+
+
+def _exceeds_gravity(rows: SupposedRows, robot: Robot, j: int) -> bool:
+    """Return whether a joint's torque would have many times the gravity of the model.
+
+    Positions in a smaller unit leave so little of it that a free factor explains any torque.
+    """
+    torques, v = _transform(rows, robot)
+    tau = rows.tau[:, j]
+    columns = _build_columns(tau, torques, v, j)
+    coefficients, _ = non_negative_least_squares(columns, tau, non_negative=3)
+    return bool(coefficients[0] > _MAX_GRAVITY_FACTOR)
 
 
 def _compute_limit_excess(q: Array, robot: Robot) -> float:
