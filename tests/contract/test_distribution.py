@@ -65,7 +65,7 @@ def test_a_release_is_complete_and_reproducible(tmp_path: Path) -> None:
     with zipfile.ZipFile(wheels[0]) as wheel:
         names = set(wheel.namelist())
     assert not [name for name in names if "test_" in name or name.startswith("tests/")]
-    needed = ("hesr/py.typed", "hesr/__init__.pyi", "fmu_src/c/component.h")
+    needed = ("hesr/py.typed", "hesr/__init__.pyi", "hesr/llms.txt", "fmu_src/c/component.h")
     assert names.issuperset(needed)
     assert any(name.startswith("hesr_model/_models/uf850/") for name in names)
     require_prebuilt(wheels[0], tmp_path)
