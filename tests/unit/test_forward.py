@@ -9,6 +9,7 @@ from small_twin import MOTIONS
 
 from cosim.loop.excite import record_motions
 from cosim.loop.motions import Motions
+from cosim.study.position_errors import simulate_tests
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
 from hesr_model.errors import SimulationError
@@ -26,6 +27,7 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import LawStepper, predict
 from hesr_model.logs.log_format import LogFormat
+from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import Robot, RobotDescription
@@ -278,3 +280,20 @@ def test_one_joint_under_gravity_is_simulated_at_each_position(tmp_path: Path) -
     expected = 0.5 - 0.5 * swing * np.sin(0.5) * t**2  # at first
     np.testing.assert_allclose(found[0, :50, 0], expected[:50], atol=5e-4)
     assert found[0, -1, 0] < 0.5 - 0.1
+
+
+def test_whole_logs_are_simulated_where_nothing_hangs(carriage: Robot) -> None:
+    t = 0.01 * np.arange(900)
+    v = 0.5 * np.sin(t)
+    mass, viscous = 5.0, 2.0
+    force = mass * 0.5 * np.cos(t) + viscous * v
+    q = 0.5 * (1.0 - np.cos(t))
+    record = axis_record(t, force, v, q)
+    log = Log(name="run", t=t, q=q[:, None], dq=v[:, None], tau=force[:, None])
+    body = identify([log], carriage)
+    model = stribeck(sigma_2=viscous)
+    [errors] = simulate_tests({"stribeck": model}, {"test": [[record]]}, carriage, body).values()
+    [axis_error] = errors.open_loop["stribeck"]
+    assert axis_error is not None
+    assert axis_error < 5e-3
+    assert len(errors.windows["stribeck"]) == len(errors.lengths)

@@ -4,6 +4,7 @@ After an intended change run `pytest tests/cosim/report/test_sections.py --regen
 """
 
 import re
+import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -338,6 +339,19 @@ def test_the_hysteresis_of_the_papers_law(results: Results, table1: FrictionMode
     for axes in loops:
         assert axes.get_xlim()[1] == pytest.approx(0.3, rel=0.1)
         assert all(np.nanmax(np.abs(line.get_ydata())) <= 1.0 for line in axes.lines)
+
+
+def test_a_report_runs_the_fmus_that_are_there(results: Results, table1_fmu: Path) -> None:
+    assert laws.live(results) is None
+    law_name = Path(results.fmu).stem
+    folder = results.folder / "fmus"
+    folder.mkdir(exist_ok=True)
+    shutil.copyfile(table1_fmu, folder / f"{law_name}.fmu")
+    shown_live = laws.live(results)
+    assert shown_live is not None
+    [(name, _, section)] = shown_live["lives"]
+    assert name == law_name
+    assert f"live-{law_name}" in section
 
 
 def test_joints_whose_law_has_no_memory_have_no_loop(
