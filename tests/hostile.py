@@ -4,6 +4,7 @@ import re
 import zipfile
 from pathlib import Path
 
+from fmu_src.export import record
 from fmu_src.export.toolchain import TARGETS, build
 
 SOURCE = Path(__file__).with_name("hostile.c")
@@ -66,6 +67,7 @@ def infected(fmu: Path, copy: Path) -> Path:
     all_c.write_text(SOURCE.read_text() + all_c.read_text(encoding="utf-8"), encoding="utf-8")
     library = next(name for name in members if name.startswith("binaries/linux64/"))
     members[library] = build(all_c, Path(library).stem, TARGETS["linux64"])
+    members.pop(record.MEMBER, None)  # `hesr check` would name every change
     return archived(members, copy)
 
 

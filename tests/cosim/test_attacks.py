@@ -110,6 +110,7 @@ library = ctypes.CDLL(sys.argv[1])
 """
 
 
+@pytest.mark.ci
 @linux
 def test_attacks_elsewhere_are_not_refused_alike(hostile_lag: Path, target: Path) -> None:
     """A control: without the sandbox the same calls succeed, or fail with other errors."""
@@ -162,6 +163,7 @@ def test_threads_are_limited(tmp_path: Path) -> None:
     assert 64 < count < 600
 
 
+@pytest.mark.ci
 @linux
 @pytest.mark.parametrize("runtime", ["openmp", "fortran", "threads", "java"])
 def test_runtimes_of_numerical_libraries_work(runtime: str, tmp_path: Path) -> None:

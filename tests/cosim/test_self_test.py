@@ -30,6 +30,7 @@ def test_the_same_deeds_succeed_elsewhere(tmp_path: Path, monkeypatch: pytest.Mo
     assert failed in ([], ["signal other processes"])  # an ordinary user may not signal process 1
 
 
+@pytest.mark.ci
 def test_holes_are_findings_of_a_check(
     lag_fmu: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -42,6 +42,7 @@ INCLUSIONS = {
 }
 
 
+@pytest.mark.ci
 @linux
 @pytest.mark.parametrize("inclusion", INCLUSIONS)
 def test_files_of_the_user_are_not_compiled_into_a_library(
