@@ -160,7 +160,7 @@ def test_bash_completes(typed: str, completed: str) -> None:
 @pytest.mark.skipif(not Path("/bin/bash").is_file(), reason="there is no bash")
 def test_the_line_of_the_readme_switches_completion_on() -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    [line] = re.findall(r"(?m)^ {4}(eval .*_HESR_COMPLETE.*)$", readme)
+    [line] = re.findall(r"(?m)^ {4}(eval .*bash_source.*)$", readme)
     program = (
         f"PATH={HESR.parent}:$PATH\n"
         f"{line}\n"
