@@ -112,7 +112,7 @@ def _require_replaceable(path: Path, target: Path) -> None:
 
 
 def _is_mount_point(target: Path) -> bool:
-    if target.is_mount():
+    if os.path.ismount(target):  # Python 3.11 has no Path.is_mount on Windows
         return True
     try:
         lines = _MOUNTS.read_bytes().splitlines()
@@ -213,8 +213,12 @@ class _NewFolder:
         sync_all(new, carrier.carried if carrier else ())
         with OpenFolder.open(self.path.parent) as scratch:
             self._exchange(scratch, self.path.name)
-        if carrier:
-            carrier.carry_latecomers()
+            if carrier:
+                with (
+                    scratch.open_folder(self.path.name) as old_now,
+                    self._parent.open_folder(self._target.name) as new_now,
+                ):
+                    carrier.carry_latecomers(old_now, new_now)
         self._parent.sync()
 
     def _keep_whole(self) -> None:
@@ -344,8 +348,13 @@ class _Carrier:
         for path in self._select(is_kept):
             self._share(path)
 
-    def carry_latecomers(self) -> None:
-        """Share what has come into the old folder meanwhile; raises OSError."""
+    def carry_latecomers(self, old: OpenFolder, new: OpenFolder) -> None:
+        """Share what has come into the old folder until both were exchanged; raises OSError.
+
+        The folders are opened again: without handles, their paths have changed.
+        """
+        self._old = old
+        self._new = new
         seen_before = frozenset(self._seen)
         for path in self._select(lambda _folder, path, _name: path not in seen_before):
             self._share(path)
