@@ -469,6 +469,9 @@ def _find_cause(
             return clock_cause
     if slides[j]:
         return _UNKNOWN_CAUSE, {}
+    if len(matches) == 1 and max(ratio, 1.0 / ratio) < _MAX_RATE_FACTOR:
+        # Of a single joint a gear and a wrong rate of the stamps are the same.
+        return f"{_UNKNOWN_CAUSE}, or the rate of the time stamps", {}
     return _find_gear(description, j, matches[j])
 
 
