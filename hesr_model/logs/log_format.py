@@ -66,7 +66,7 @@ class LogColumns(Config):
     """Column names; `dq = ""` derives velocity, default commands and temperatures are optional.
 
     `t` may be two columns, of whole seconds and of the nanoseconds since, or of the unit that the
-    second name ends with, as in ``tv_usec``. `q = ""` integrates velocity.
+    second name ends with, as in 'tv_usec'. `q = ""` integrates velocity.
     `q_link` names encoders behind elastic gears, whose motors then have `q`, divided by the gear.
     A list instead of the table, or `names`, names all columns of files without a header, in order.
     """

@@ -434,7 +434,6 @@ def test_unknown_parameters_cannot_be_known(tmp_path: Path, hesr: Hesr) -> None:
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ([], "give --robot, a URDF or MJCF, or --bench without a model file."),
         (["--bench", "rotary", "--robot", "a.urdf"], "--robot and --bench exclude each other; a "),
         (["--robot", "a.urdf", "--gravity"], "--gravity needs --bench: other robots have a model "),
         (["--robot", "a.urdf", "--gear-ratio", "9"], "--gear-ratio needs --bench: other robots "),

@@ -41,7 +41,7 @@ def test_a_law_of_stops_is_proven_passive(hesr: Hesr, tmp_path: Path) -> None:
     )
     model.write(tmp_path / "law.json")
     said = " ".join(hesr("test", tmp_path / "law.json", "--verbose").out.split())
-    assert "j1: passive, proven at any step: S = 3e-05 x_1^2; F(x_1) = 2 >= 0" in said
+    assert "j1: passive, proven at any step: S = 3e-05 x_1^2 + 0.1 q; F(x_1) = 2 >= 0" in said
 
 
 def test_other_artifacts_than_laws_are_refused(hesr: Hesr) -> None:

@@ -196,7 +196,7 @@ def test_the_help_has_names_texts_and_examples(monkeypatch: pytest.MonkeyPatch) 
     for text in (
         "of 'paint'.",
         "--count N Number of coats, from one.",
-        "--word NAME A 'word'.",
+        "--word NAME A --word.",
         "--ratio X",
         "--colour [red|blue]",
         "--robot ROBOT",

@@ -355,7 +355,7 @@ def test_sources_without_a_loop_are_refused(study: Path, tmp_path: Path) -> None
     sentence = f"{study}: has no [tracking]"
     with pytest.raises(ArgumentError, match=re.escape(sentence)):
         hesr.export(study, tmp_path / "loop", format="loop")
-    with pytest.raises(ArgumentError, match="run: 'hesr run --platform'"):
+    with pytest.raises(ArgumentError, match="'platform' is for single FMUs"):
         hesr.export(study, tmp_path / "loop", format="loop", platform=["win64"])
 
 
