@@ -50,7 +50,7 @@ def test_printed_options_exist() -> None:
         for text in printed()
         for option in re.findall(r"(?<![\w-])--[a-z][a-z-]*", text)
     }
-    assert len(options) > 20
+    assert len(options) > 10  # other sentences name parameters, which become options
     unknown = {o: text for o, text in options.items() if o not in every_option | FOREIGN}
     assert unknown == {}
 

@@ -22,7 +22,7 @@ from hesr.extras.paper.report import (
     HOLDS,
     OPEN,
     PARTLY,
-    Judgement,
+    TruthVerdict,
     combine_verdicts,
     judge_values,
 )
@@ -100,7 +100,7 @@ def test_a_value_with_too_few_data_decides_nothing() -> None:
     ],
 )
 def test_the_verdict_is_that_of_all_true_frictions(verdicts, expected) -> None:
-    truths = {f"{k}": Judgement(values={}, verdict=one) for k, one in enumerate(verdicts)}
+    truths = {f"{k}": TruthVerdict(values={}, verdict=one) for k, one in enumerate(verdicts)}
     assert combine_verdicts(truths) == expected
 
 

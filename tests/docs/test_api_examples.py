@@ -10,6 +10,8 @@ import matplotlib as mpl
 import pytest
 from documents import ROOT
 
+from hesr_model.fitting import estimator
+
 PAGE = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 LONG = ("run", "report")  # sections whose examples take half a minute
@@ -46,6 +48,7 @@ def names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Names:
     """Return the names of a session in an empty folder, with the package imported."""
     mpl.use("agg")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(estimator, "_REGISTRY", dict(estimator.registry()))
     started: Names = {"__name__": "__main__"}
     exec("import hesr", started)
     return started

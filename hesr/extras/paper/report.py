@@ -54,7 +54,7 @@ _TITLES = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Judgement:
+class TruthVerdict:
     """Values of a claim under one true friction, the verdict, and the values that hold."""
 
     values: Mapping[str, Number]
@@ -67,7 +67,7 @@ class Judged:
     """A claim, its judgement by true friction, and the verdict over all of them."""
 
     claim: Claim
-    truths: Mapping[str, Judgement]
+    truths: Mapping[str, TruthVerdict]
     verdict: str
 
 
@@ -118,7 +118,7 @@ class PaperResult:
 
 def judge_values(
     values: Mapping[str, Number], at_least: Limit | None, at_most: Limit | None
-) -> Judgement:
+) -> TruthVerdict:
     """Compare the intervals of values with limits.
 
     A claim holds if all intervals are within the limits, and fails if none is and one is outside.
@@ -139,12 +139,12 @@ def judge_values(
         verdict = PARTLY
     else:
         verdict = FAILS if is_outside.any() else OPEN
-    return Judgement(values=values, verdict=verdict, holding=holding)
+    return TruthVerdict(values=values, verdict=verdict, holding=holding)
 
 
 def judge_claim(claim: Claim, evidence: Evidence) -> Judged:
     """Measure a claim under each true friction and judge it."""
-    truths: dict[str, Judgement] = {}
+    truths: dict[str, TruthVerdict] = {}
     if claim.measure:
         is_general = claim.measure in measures.CASE_MEASURES and claim.everywhere
         for truth in evidence.cases if is_general else [TWIN]:
@@ -156,7 +156,7 @@ def judge_claim(claim: Claim, evidence: Evidence) -> Judged:
     return Judged(claim=claim, truths=truths, verdict=combine_verdicts(truths))
 
 
-def combine_verdicts(truths: Mapping[str, Judgement]) -> str:
+def combine_verdicts(truths: Mapping[str, TruthVerdict]) -> str:
     """Return the verdict over all true frictions."""
     verdicts = {judgement.verdict for judgement in truths.values()} - {OPEN}
     if not verdicts:
@@ -221,7 +221,7 @@ def _build_truth_table(claims: Sequence[Judged]) -> ResultTable:
     )
 
 
-def _format_judgement(judgement: Judgement | None) -> str:
+def _format_judgement(judgement: TruthVerdict | None) -> str:
     if judgement is None:
         return "–"
     if judgement.verdict != PARTLY:

@@ -23,7 +23,7 @@ QUIET = settings(
 def alone(monkeypatch):
     """Start no other processes; their work does not depend on the bytes of the archive."""
 
-    def not_run(function, *arguments, folder, seconds):
+    def not_run(function, *arguments, folder, seconds, modules=()):
         raise DiedError("was not run")
 
     for module in (archive, binaries, external):
