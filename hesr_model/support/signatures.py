@@ -47,6 +47,8 @@ _WORDS |= {
 
 def describe_type(annotation: Any) -> str:
     """Return an annotation in the words of users, such as ``Log | path``."""
+    if annotation is ArrayLike:
+        return "array"
     origin = get_origin(annotation)
     if isinstance(annotation, ForwardRef):
         annotation = annotation.__forward_arg__
@@ -59,7 +61,8 @@ def describe_type(annotation: Any) -> str:
         return _describe_union(get_args(annotation))
     if origin is Literal:
         return "str"
-    if origin is np.ndarray:
+    # NumPy's array types are aliases with a value from 2.5 on.
+    if origin is np.ndarray or getattr(origin, "__name__", "") == "NDArray":
         return "ndarray"
     if origin is Callable or getattr(origin, "__name__", "") == "Callable":
         return "Callable"
@@ -78,7 +81,8 @@ def _describe_union(kinds: tuple[Any, ...]) -> str:
     """Return the words for a union; text or a path object is a path."""
     remaining = list(kinds)
     words = []
-    for whole, word in ((get_args(ArrayLike), "array"), ((str, PathLike[str]), "path")):
+    array_kinds = get_args(ArrayLike) or (ArrayLike,)  # an alias from NumPy 2.5 on
+    for whole, word in ((array_kinds, "array"), ((str, PathLike[str]), "path")):
         if all(kind in remaining for kind in whole):
             remaining = [kind for kind in remaining if kind not in whole]
             words.append(word)
