@@ -152,6 +152,7 @@ class FrictionRegressor:
             self.rigid_body_ = find_body(self.rigid_body, logs, robot)
             robot_name = robot.description.name
             self.__dict__.pop("n_features_in_", None)
+            self._flat = False
             if self.law == CHOOSE:
                 self.model_ = replace(self._choose(logs, robot), rigid_body=self.rigid_body_)
                 return self
@@ -212,8 +213,8 @@ class FrictionRegressor:
         """
         prediction = self._predict_one(X)
         torque = prediction.tau_predicted
-        # The shape of the y of `fit`, as scikit-learn expects; after logs there was none.
-        return torque[:, 0] if prediction.is_table and getattr(self, "_flat", False) else torque
+        # The shape of the y of `fit`, as scikit-learn expects.
+        return torque[:, 0] if prediction.is_table and self._flat else torque
 
     def score(self, X: Any, y: Any = None) -> float:
         """Return the coefficient of determination R2, averaged over joints.

@@ -44,7 +44,7 @@ class HesrError(Exception):
         """Return the same error, with a place in front of its sentence."""
         return type(self)(f"{where}: {self}", code=self.code, where=where, key=self.key)
 
-    def format_for_command_line(self, options: Mapping[str, str]) -> str:  # noqa: ARG002
+    def format_for_command_line(self, options: Mapping[str, str]) -> str:  # noqa: ARG002  # overridden
         """Return the sentence with options for parameters, if it names any."""
         return str(self)
 

@@ -94,35 +94,33 @@ def start_public(folder: Path, clone: Path) -> NewProject:
 def _find_source(clone: Path) -> PublicSource:
     """Return the repository whose files a folder has."""
     sources = list_sources()
-    for source in sources:
-        logs_folder = clone / source.folder
-        if logs_folder.is_dir():
-            expected = [clone / source.model]
-            expected += [logs_folder / entry["file"] for entry in source.logs.values()]
-            for path in expected:
-                if not path.is_file():
-                    raise ConfigError(
-                        f"{path}: is missing; check out commit {source.commit} of "
-                        f"{source.repository}.",
-                        code="public.missing",
-                        where=path,
-                        key="public",
-                    )
-            return source
-    known = ", ".join(f"{source.repository} ({source.name})" for source in sources)
-    raise ConfigError(
-        f"{clone}: is not a clone of a repository that HESR knows: {known}.",
-        code="public.unknown",
-        where=clone,
-        key="public",
-    )
+    source = next((source for source in sources if (clone / source.folder).is_dir()), None)
+    if source is None:
+        known = ", ".join(f"{source.repository} ({source.name})" for source in sources)
+        raise ConfigError(
+            f"{clone}: is not a clone of a repository that HESR knows: {known}.",
+            code="public.unknown",
+            where=clone,
+            key="public",
+        )
+    log_files = [f"{source.folder}/{entry['file']}" for entry in source.logs.values()]
+    for name in (source.model, *log_files):
+        path = clone / name
+        if not path.is_file():
+            raise ConfigError(
+                f"{path}: is missing; check out commit {source.commit} of {source.repository}.",
+                code="public.missing",
+                where=path,
+                key="public",
+            )
+    return source
 
 
 def _convert(path: Path, columns: tuple[str, ...], first_row: int, end_row: int) -> str:
     """Return rows of a CSV without a header as a log whose time starts at 0."""
-    lines = read_text(path).splitlines()[first_row:end_row]
-    rows = [line.split(",")[: len(columns)] for line in lines]
     try:
+        lines = read_text(path).splitlines()[first_row:end_row]
+        rows = [line.split(",")[: len(columns)] for line in lines]
         start = float(rows[0][0])
         texts = [",".join(columns)]
         for row in rows:

@@ -116,12 +116,7 @@ def new(
     numbers = _list_numbers(
         {"inertia": inertia, "moment": moment, "phase": phase, "gear_ratio": gear_ratio}
     )
-    own_robots = {"twin": twin or None, "public": public}
-    for name, value in own_robots.items():
-        others = {"robot": robot, "bench": bench, **own_robots, name: None}
-        for other, stated_value in others.items():
-            if value is not None and stated_value is not None:
-                raise ArgumentError(f"'{name}' excludes '{other}'; it has a robot of its own.")
+    _require_one_robot({"twin": twin or None, "public": public, "robot": robot, "bench": bench})
     if twin:
         return start_twin(project_folder)
     if public is not None:
@@ -142,6 +137,13 @@ def new(
         log or {},
         source,
     )
+
+
+def _require_one_robot(robots: Mapping[str, Any]) -> None:
+    """Raise ArgumentError if `twin` or `public`, the first ones, is given with another robot."""
+    stated = [name for name, value in robots.items() if value is not None]
+    if len(stated) > 1 and stated[0] in ("twin", "public"):
+        raise ArgumentError(f"'{stated[0]}' excludes '{stated[1]}'; it has a robot of its own.")
 
 
 def _list_numbers(arguments: Mapping[str, PerJoint | None]) -> dict[str, list[float]]:

@@ -140,7 +140,7 @@ def describe_class(name: str) -> str:
 
 
 def describe_part(name: str) -> str:
-    """Return the line of a part of a law: its parameters, what it is, and its attributes."""
+    """Return the line of a part of a law: its parameters, its summary and its attributes."""
     part = getattr(hesr, name)
     sections = split_sections(inspect.getdoc(part) or "")
     entries = read_entries(sections.get("Attributes", ""))

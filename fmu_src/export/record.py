@@ -1,4 +1,4 @@
-"""The record of an FMU: what it was made from, and the hashes of its other members."""
+"""The record of an FMU: its sources, and the hashes of its other members."""
 
 import hashlib
 import json

@@ -157,7 +157,7 @@ def _examine(model: FrictionModel) -> ModelAudit | None:
 def describe_origin(
     model: FrictionModel, certificates: Sequence[Certificate] = ()
 ) -> dict[str, Any]:
-    """Return what a model was made from, its errors and certificates, as JSON data."""
+    """Return the sources of a model, its errors and certificates, as JSON data."""
     joints: list[dict[str, Any]] = [{"joint": name} for name in model.joints]
     for j, entry in enumerate(joints):
         if model.training_rmse:

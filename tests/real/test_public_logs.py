@@ -4,6 +4,7 @@ import gzip
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 from documents import ROOT
@@ -46,12 +47,14 @@ def test_a_clone_becomes_the_logs_of_the_study(clone: Path, tmp_path: Path) -> N
     assert set(study.logs.identification) <= set(UR10E.logs)
 
 
-@pytest.mark.parametrize("change", ["row", "text", "missing"])
+@pytest.mark.parametrize("change", ["row", "text", "bytes", "missing"])
 def test_another_commit_is_refused(clone: Path, tmp_path: Path, change: str) -> None:
     path = clone / UR10E.folder / UR10E.logs["id_fourier_20s_5harm.csv"]["file"]
     text = path.read_text(encoding="utf-8")
     if change == "missing":
         path.unlink()
+    elif change == "bytes":
+        path.write_bytes(bytes([255, 254, 0]))
     else:
         path.write_text(f"{text.splitlines()[0]}\n{text}" if change == "row" else "no log\n")
     with pytest.raises(ConfigError) as caught:
@@ -67,9 +70,9 @@ def test_other_folders_are_no_clone(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("other", [{"twin": True}, {"bench": "rotary"}, {"robot": "arm.urdf"}])
-def test_a_clone_excludes_other_robots(tmp_path: Path, other: dict[str, object]) -> None:
+def test_a_clone_excludes_other_robots(tmp_path: Path, other: dict[str, Any]) -> None:
     with pytest.raises(ArgumentError, match="public"):
-        hesr.new(tmp_path / "ur10e", public=tmp_path, **other)  # type: ignore[arg-type]
+        hesr.new(tmp_path / "ur10e", public=tmp_path, **other)
 
 
 def test_the_page_has_the_recorded_sources() -> None:

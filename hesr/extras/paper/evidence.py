@@ -83,6 +83,13 @@ class Number:
     high: float | None = None
     is_open: bool = False
 
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Ends of the interval, both the value if it has none."""
+        low = self.value if self.low is None else self.low
+        high = self.value if self.high is None else self.high
+        return low, high
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Case:
@@ -270,8 +277,7 @@ def _evaluate_measured(job: Job, study: PaperStudy, study_path: Path) -> Case:
         name: [friction_records(part, robot, body) for part in log.parts()]
         for name, log in logs.items()
     }
-    names = [name for test in measured_study.logs.test.values() for name in test]
-    tests = {_MAIN_TEST: select_records(names, records)}
+    tests = {_MAIN_TEST: select_records(measured_job.tested_on, records)}
     training_records = select_records(measured_study.logs.training, records)
     return _fit_case(job, study, measured_study.name, training_records, tests, job.laws)
 

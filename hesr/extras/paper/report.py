@@ -124,22 +124,25 @@ def judge_values(
     A claim holds if all intervals are within the limits, and fails if none is and one is outside.
     It holds partly if some are within; it is not testable if all intervals contain a limit.
     """
-    numbers = list(values.values())
-    lower_ends = np.array([value.value if value.low is None else value.low for value in numbers])
-    upper_ends = np.array([value.value if value.high is None else value.high for value in numbers])
-    lower_limit = -np.inf if at_least is None else np.array(at_least)
-    upper_limit = np.inf if at_most is None else np.array(at_most)
-    is_known = np.array([not value.is_open for value in numbers])
-    is_within = is_known & (lower_ends >= lower_limit) & (upper_ends <= upper_limit)
-    is_outside = is_known & ((upper_ends < lower_limit) | (lower_ends > upper_limit))
-    holding = tuple(label for label, holds in zip(values, is_within, strict=True) if holds)
-    if is_within.all():
+    floors = np.broadcast_to(-np.inf if at_least is None else at_least, len(values))
+    ceilings = np.broadcast_to(np.inf if at_most is None else at_most, len(values))
+    holding = []
+    is_refuted = False
+    for (label, number), floor, ceiling in zip(values.items(), floors, ceilings, strict=True):
+        low, high = number.interval
+        if number.is_open:
+            continue
+        if floor <= low and high <= ceiling:
+            holding.append(label)
+        elif high < floor or low > ceiling:
+            is_refuted = True
+    if len(holding) == len(values):
         verdict = HOLDS
-    elif is_within.any():
+    elif holding:
         verdict = PARTLY
     else:
-        verdict = FAILS if is_outside.any() else OPEN
-    return TruthVerdict(values=values, verdict=verdict, holding=holding)
+        verdict = FAILS if is_refuted else OPEN
+    return TruthVerdict(values=values, verdict=verdict, holding=tuple(holding))
 
 
 def judge_claim(claim: Claim, evidence: Evidence) -> Judged:

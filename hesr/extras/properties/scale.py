@@ -74,7 +74,7 @@ _MIN_FRICTION = 1e-6  # [N.m] minimum of a divisor
 _SPEED_SHARES = np.geomspace(1e-3, 1.0, 31)
 _DEFLECTION_RANGE = (ENCODER_NOISE, 1e-2)  # accepted in lengths, from an encoder's resolution
 _RETURN_PATH = np.geomspace(1e-7, 0.5, 100)  # after a reversal, in lengths
-_LENGTH_TIME = 1.0  # [s] in which the largest trained speed covers a length
+_LENGTH_TIME = 1.0  # [s] the time of a length at the largest trained speed
 _MAX_LENGTH = 1.0  # [rad]
 
 
