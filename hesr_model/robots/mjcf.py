@@ -12,8 +12,9 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -347,10 +348,12 @@ def _require_an_end(path: Path) -> list[Path]:
     files = []
     parts = 0
     cells = 0
-    for model_root, folder in _list_models(root, path.parent, {path.resolve()}):
-        parts += _count_parts(model_root)
-        cells += sum(map(_count_cells, model_root.iter()))
-        for element, attribute, file in _find_files(model_root, folder):
+    models = _list_models(root, path.parent, {path.resolve()})
+    # Each model has a part. Models that are named twice double from level to level.
+    for model in islice(models, _MAX_PARTS + 1):
+        parts += model.copies * _count_parts(model.root)
+        cells += model.copies * sum(map(_count_cells, model.root.iter()))
+        for element, attribute, file in _find_files(model.root, model.folder):
             if not file.is_file():
                 name = quote(element.get(attribute, ""))
                 raise ConfigError(f"{path}: names the file {name}, which is not a regular file.")
@@ -361,20 +364,28 @@ def _require_an_end(path: Path) -> list[Path]:
     return files
 
 
-def _list_models(root: Element, folder: Path, known: set[Path]) -> Iterator[tuple[Element, Path]]:
-    """Yield a model and those that it attaches, with their folders; one for each attachment."""
-    yield root, folder
+class _Model(NamedTuple):
+    """A model and the number of its copies in the whole; files are relative to its folder."""
+
+    root: Element
+    folder: Path
+    copies: int
+
+
+def _list_models(
+    root: Element, folder: Path, known: set[Path], copies: int = 1
+) -> Iterator[_Model]:
+    """Yield a model and those that it attaches, each once with the number of its copies."""
+    yield _Model(root, folder, copies)
     for element in root.iter("model"):
         file = folder / element.get("file", "")
         if not file.is_file() or file.resolve() in known:
             continue
         inner_root = _parse_root(file, resolve_includes(file))
         if inner_root is not None:
-            copies = _count_attachments(root, element.get("name", ""))
-            inner_models = _list_models(inner_root, file.parent, known | {file.resolve()})
-            for inner in inner_models:
-                for _ in range(min(copies, _MAX_PARTS + 1)):
-                    yield inner
+            attachments = _count_attachments(root, element.get("name", ""))
+            inner_copies = copies * min(attachments, _MAX_PARTS + 1)
+            yield from _list_models(inner_root, file.parent, known | {file.resolve()}, inner_copies)
 
 
 def _count_attachments(element: Element, name: str) -> int:

@@ -69,6 +69,26 @@ def test_attachments_of_copies_count(tmp_path: Path) -> None:
         compile_model(write(tmp_path, asset, attached))
 
 
+@pytest.mark.parametrize("copies", [2, 15_000])
+def test_attachments_in_attachments_are_counted_at_once(
+    copies: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Counting each copy, or each way from file to file, would take hours."""
+    monkeypatch.setattr(mjcf, "_MAX_PARTS", 500)
+    last = 30
+    for k in range(last):
+        assets = "".join(f'<model name="m{i}" file="{k + 1}.xml"/>' for i in range(2))
+        attached = (
+            f'<replicate count="{copies}"><attach model="m0" body="b" prefix="a"/></replicate>'
+        )
+        write(tmp_path, assets, attached, f"{k}.xml")
+    write(tmp_path, name=f"{last}.xml")
+    begin = time.process_time()
+    with pytest.raises(ConfigError, match="can be compiled"):
+        compile_model(tmp_path / "0.xml")
+    assert time.process_time() < begin + 5.0
+
+
 @pytest.mark.parametrize("attribute", FILE_ATTRIBUTES)
 @pytest.mark.parametrize("folder", ["", "textures"])
 def test_no_attribute_names_a_pipe(attribute: str, folder: str, tmp_path: Path) -> None:
