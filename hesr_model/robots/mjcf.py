@@ -37,9 +37,7 @@ _SECONDS = 20.0  # to compile a file
 _MAX_MEMORY = 2 << 30  # to compile a file [B]
 _MAX_MESSAGE_LENGTH = 1000  # characters of a child's
 _TRIAL = "1"  # version of what a trial does
-FILE_ATTRIBUTES = (
-    *("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback"),
-)
+FILE_ATTRIBUTES = ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
 """Attributes of an MJCF that name a file."""
 
 _MIN_INERTIA = 1e-9  # mass and inertia of the links of a URDF for MuJoCo [kg, kg.m2]
@@ -183,7 +181,11 @@ def _require_success(path: Path, refusal: str) -> None:
 
 def _run_in_child(function: str, kind: str, source: str, files: Sequence[Path]) -> Any:
     """Return the answer of a function of this module; raises ConfigError if the child ends."""
-    readable = [Path(source).parent, *files] if kind == "file" else list(files)
+    readable = list(files)
+    subject = "a URDF"
+    if kind == "file":
+        readable.append(Path(source).parent)
+        subject = source
     with scratch_folder() as folder:
         try:
             return run_in_child(
@@ -194,11 +196,10 @@ def _run_in_child(function: str, kind: str, source: str, files: Sequence[Path]) 
                 folder=folder,
                 seconds=_SECONDS,
                 memory=_MAX_MEMORY,
-                readable=readable or [folder],
+                readable=readable,
                 modules=("mujoco", "pinocchio"),
             )
         except DiedError as error:
-            subject = source if kind == "file" else "a URDF"
             raise ConfigError(f"{subject}: cannot be compiled (MuJoCo {error}).") from error
 
 
@@ -258,9 +259,12 @@ def list_shape_meshes(kind: str, source: str, folder: str) -> list[str]:
 
 
 def _list_content(path: Path) -> Iterator[str | bytes]:
-    yield (data := resolve_includes(path))
+    data = resolve_includes(path)
+    yield data
     root = _parse_root(path, data)
-    for _, _, file in _find_files(root, path.parent) if root is not None else ():
+    if root is None:
+        return
+    for _, _, file in _find_files(root, path.parent):
         yield f"{file} {file.stat().st_size} {file.stat().st_mtime_ns}"
 
 
@@ -275,7 +279,8 @@ def _parse_root(path: Path, data: bytes) -> Element | None:
 
 def resolve_includes(path: Path) -> bytes:
     """Return an MJCF with the content of the files that it includes."""
-    root = _parse_root(path, data := path.read_bytes())
+    data = path.read_bytes()
+    root = _parse_root(path, data)
     if root is None or root.find(".//include") is None:
         return data
     _include(root, path.parent, {path})
@@ -330,12 +335,17 @@ def _include(element: Element, base: Path, included: set[Path]) -> None:
 
 def _find_files(root: Element, base: Path) -> Iterator[tuple[Element, str, Path]]:
     """Yield the elements, attributes and files that exist, in every folder that can be meant."""
-    places = ("assetdir", "meshdir", "texturedir")
-    folders = {e.get(kind, "") for e in root.iter("compiler") for kind in places}
+    folders = {""}
+    for compiler in root.iter("compiler"):
+        folders |= {compiler.get(kind, "") for kind in ("assetdir", "meshdir", "texturedir")}
+    sorted_folders = sorted(folders)
     for element in root.iter():
         for attribute in FILE_ATTRIBUTES:
-            for folder in sorted({"", *folders}) if (name := element.get(attribute)) else ():
-                file = base / folder / str(name)
+            name = element.get(attribute)
+            if not name:
+                continue
+            for folder in sorted_folders:
+                file = base / folder / name
                 if file.exists():
                     yield element, attribute, file
 

@@ -229,15 +229,15 @@ def run_in_child(
     folder: Path,
     seconds: float,
     memory: int = MAX_MEMORY_BYTES,
-    readable: Sequence[Path] = (),
+    readable: Sequence[Path] | None = None,
     modules: Sequence[str] = (),
 ) -> Any:
     """Do `Child.run` in a new child.
 
-    It may read the path in the first argument, or `readable`. Raises DiedError.
+    It may read `readable`, by default the path in the first argument. Raises DiedError.
     """
     with TemporaryDirectory(dir=folder) as process_folder:
-        paths = readable or [Path(arguments[0])]
+        paths = [Path(arguments[0])] if readable is None else readable
         module = function.partition(":")[0]
         child = Child(Path(process_folder), seconds, paths, module, *modules, memory=memory)
         try:
