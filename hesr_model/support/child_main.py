@@ -159,29 +159,44 @@ def _enter_supervision(child_files: Sequence[int], *, has_namespaces: bool) -> l
     """
     rights.adopt_orphans()
     if not has_namespaces:
-        if child := os.fork():
-            _close(child_files)
-            status = _watch(child)
-            _kill_descendants()
-            _end_as(status)
-        rights.end_with_parent()
+        _fork_watched_child(child_files)
         return []
     if not rights.enter_namespaces():
         os._exit(1)
+    _fork_into_namespaces(child_files)
+    held = [rights.NAMESPACES.name]
+    if _limit_threads():
+        held.append(rights.THREADS.name)
+    return held
+
+
+def _fork_watched_child(child_files: Sequence[int]) -> None:
+    """Fork a child, and return in it; this process kills what the child leaves behind."""
+    child = os.fork()
+    if child != 0:
+        _close(child_files)
+        status = _watch(child)
+        _kill_descendants()
+        _end_as(status)
+    rights.end_with_parent()
+
+
+def _fork_into_namespaces(child_files: Sequence[int]) -> None:
+    """Fork the first process of the new namespaces, and there the child; return in the child."""
     status_reader, status_writer = os.pipe()
-    if os.fork():
+    if os.fork() != 0:
         _close([status_writer, *child_files])
         packed = os.read(status_reader, _STATUS.size).ljust(_STATUS.size, b"\xff")
         _end_as(*_STATUS.unpack(packed))
     # The first process in the namespace: with it the kernel ends all others there.
     rights.end_with_parent()
     os.close(status_reader)
-    if child := os.fork():
+    child = os.fork()
+    if child != 0:
         _close(child_files)
         os.write(status_writer, _STATUS.pack(_watch(child)))
         os._exit(0)
     os.close(status_writer)
-    return [rights.NAMESPACES.name, *([rights.THREADS.name] if _limit_threads() else [])]
 
 
 def _can_enter_namespaces() -> bool:
@@ -306,39 +321,60 @@ def _serve_forks(control: int) -> NoReturn:
     requests = socket.socket(fileno=control)
     poll = select.poll()
     poll.register(requests, select.POLLIN)
-    children: dict[int, tuple[int, int, int]] = {}  # by both files: child, its PID file, link
+    children: dict[int, _ForkedChild] = {}  # by both of its files
     while True:
         ready = poll.poll()[0][0]  # one at a time: files that are closed get their numbers anew
-        if ready == control:
-            data, files, _, _ = socket.recv_fds(requests, MAX_REQUEST_BYTES, FORK_FILES)
-            if not data:
-                for child, _, _ in children.values():
-                    _kill_group(child)
-                os._exit(0)
-            connection, lifeline, report, link = files
-            request = Fork(*json.loads(data))
-            _load(request)
-            child = os.fork()
-            if child == 0:
-                os.setsid()
-                _close([control, link, *children])
-                _start_child(request, connection, lifeline, report, has_namespaces=has_namespaces)
-            _close([connection, lifeline, report])
-            process = os.pidfd_open(child)
-            children |= dict.fromkeys((process, link), (child, process, link))
-            for file in (process, link):
-                poll.register(file, select.POLLIN)
+        if ready != control:
+            child = children[ready]
+            if ready == child.link:
+                _kill_group(child.number)
+            status = os.waitpid(child.number, 0)[1]
+            with suppress(OSError):
+                os.write(child.link, _STATUS.pack(status))
+            for file in child.files:
+                poll.unregister(file)
+                del children[file]
+            _close(child.files)
             continue
-        child, process, link = children[ready]
-        if ready == link:
-            _kill_group(child)
-        status = os.waitpid(child, 0)[1]
-        with suppress(OSError):
-            os.write(link, _STATUS.pack(status))
-        for file in (process, link):
-            poll.unregister(file)
-            del children[file]
-        _close([process, link])
+        data, files, _, _ = socket.recv_fds(requests, MAX_REQUEST_BYTES, FORK_FILES)
+        if not data:
+            for child in children.values():
+                _kill_group(child.number)
+            os._exit(0)
+        open_files = [control, *children]
+        child = _fork_child(data, files, open_files, has_namespaces=has_namespaces)
+        for file in child.files:
+            poll.register(file, select.POLLIN)
+            children[file] = child
+
+
+class _ForkedChild(NamedTuple):
+    """A child of the nursery: its process ID, the file of its process, and its link."""
+
+    number: int
+    process: int
+    link: int
+
+    @property
+    def files(self) -> tuple[int, int]:
+        """The files that are ready when the child, or the need for it, has ended."""
+        return self.process, self.link
+
+
+def _fork_child(
+    data: bytes, files: Sequence[int], open_files: Sequence[int], *, has_namespaces: bool
+) -> _ForkedChild:
+    """Fork the child of a request, which closes the `open_files` of the nursery."""
+    connection, lifeline, report, link = files
+    request = Fork(*json.loads(data))
+    _load(request)
+    number = os.fork()
+    if number == 0:
+        os.setsid()
+        _close([link, *open_files])
+        _start_child(request, connection, lifeline, report, has_namespaces=has_namespaces)
+    _close([connection, lifeline, report])
+    return _ForkedChild(number, os.pidfd_open(number), link)
 
 
 def _load(request: Fork) -> None:
