@@ -67,9 +67,6 @@ class Child:
     Otherwise it raises DiedError with the end of a sentence.
     """
 
-    _is_reported = True  # the mechanisms that hold
-    _is_alone = False  # it cannot start processes that remain
-
     def __init__(
         self,
         folder: Path,
@@ -83,7 +80,8 @@ class Child:
         self.seconds = seconds
         self._total = total
         self._ended = False
-        self._is_reported = False
+        self._has_reported = False  # which mechanisms hold
+        self._is_alone = False  # it cannot start processes that remain
         self.begin()
         self._socket, theirs = socket.socketpair()
         self._socket.settimeout(_POLL_PERIOD)
@@ -112,7 +110,7 @@ class Child:
         data = json.dumps(request).encode()
         self._answer_deadline = time.monotonic() + self.seconds
         try:
-            if not self._is_reported:
+            if not self._has_reported:
                 self._warn_of_risks()
             self._send(child_main.LENGTH.pack(len(data)) + data)
             return json.loads(self._receive(limit))
@@ -168,7 +166,7 @@ class Child:
             if not piece:
                 raise ConnectionError
             report += piece
-        self._is_reported = True
+        self._has_reported = True
         held = json.loads(report)
         self._is_alone = rights.NAMESPACES.name in held or rights.SECCOMP.name in held
         warn_of_risks(held)
@@ -259,19 +257,20 @@ def warn_of_risks(held: Collection[str]) -> None:
 def _start(arguments: child_main.ChildArguments, folder: Path) -> "ChildProcess | ForkedProcess":
     """Start the process of a child in a folder; raises FailedError or OSError."""
     temporary = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder.resolve()))
+    environment = _select_environment() | temporary
     if hasattr(os, "pidfd_open"):
         with suppress(FailedError, OSError):
-            return _nursery.fork(arguments, folder, _select_environment() | temporary)
-    windows = sys.platform == "win32"
+            return _nursery.fork(arguments, folder, environment)
+    is_windows = sys.platform == "win32"  # its connection is a handle, which cannot be selected
     return ChildProcess(
         _build_command(arguments),
         folder,
-        inherited=_select_environment(),
-        environment=temporary,
+        inherited=environment,
         stdin=subprocess.PIPE,  # closed when this process ends
         stdout=subprocess.PIPE,  # the mechanisms that hold
         stderr=subprocess.DEVNULL,
-        **({"close_fds": False} if windows else {"pass_fds": (arguments.connection,)}),
+        close_fds=not is_windows,
+        pass_fds=() if is_windows else (arguments.connection,),
     )
 
 
@@ -307,13 +306,15 @@ class ForkedProcess:
         if self.returncode is None:
             self._link.settimeout(timeout)
             try:
-                status = self._link.recv(4)
+                status = self._link.recv(child_main.STATUS.size)
             except (TimeoutError, BlockingIOError) as error:
                 raise subprocess.TimeoutExpired("a child", timeout) from error
             except OSError:
                 status = b""
-            # Without a status the nursery was killed, and its children with it.
-            code = int.from_bytes(status, sys.byteorder) if len(status) == 4 else signal.SIGKILL
+            if len(status) == child_main.STATUS.size:
+                code = child_main.STATUS.unpack(status)[0]
+            else:  # the nursery was killed, and its children with it
+                code = signal.SIGKILL
             self.returncode = os.waitstatus_to_exitcode(code)
             self._link.close()
         return self.returncode

@@ -29,7 +29,7 @@ MAX_OPEN_FILES = 256  # at a time
 MAX_THREADS = 512
 MAX_MESSAGE_LENGTH = 2000  # characters
 LENGTH = struct.Struct("!I")
-_STATUS = struct.Struct("=i")  # of an ended process
+STATUS = struct.Struct("=i")  # of an ended process
 _POLL_PERIOD = 50  # [ms]
 _IS_ENDED = getattr(os, "WEXITED", 0) | getattr(os, "WNOHANG", 0) | getattr(os, "WNOWAIT", 0)
 
@@ -186,15 +186,15 @@ def _fork_into_namespaces(child_files: Sequence[int]) -> None:
     status_reader, status_writer = os.pipe()
     if os.fork() != 0:
         _close([status_writer, *child_files])
-        packed = os.read(status_reader, _STATUS.size).ljust(_STATUS.size, b"\xff")
-        _end_as(*_STATUS.unpack(packed))
+        packed = os.read(status_reader, STATUS.size).ljust(STATUS.size, b"\xff")
+        _end_as(*STATUS.unpack(packed))
     # The first process in the namespace: with it the kernel ends all others there.
     rights.end_with_parent()
     os.close(status_reader)
     child = os.fork()
     if child != 0:
         _close(child_files)
-        os.write(status_writer, _STATUS.pack(_watch(child)))
+        os.write(status_writer, STATUS.pack(_watch(child)))
         os._exit(0)
     os.close(status_writer)
 
@@ -330,7 +330,7 @@ def _serve_forks(control: int) -> NoReturn:
                 _kill_group(child.number)
             status = os.waitpid(child.number, 0)[1]
             with suppress(OSError):
-                os.write(child.link, _STATUS.pack(status))
+                os.write(child.link, STATUS.pack(status))
             for file in child.files:
                 poll.unregister(file)
                 del children[file]

@@ -190,6 +190,7 @@ class ConnectedSandbox(Sandbox):
         self.seconds, self._total = seconds, total
         self._run_deadline = time.monotonic() + total
         self._size, self._ended = 0, False
+        self._has_reported = True
         process = SimpleNamespace(poll=lambda: None, wait=lambda _seconds: 3)
         self._child: Any = SimpleNamespace(process=process)
 
