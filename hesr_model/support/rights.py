@@ -5,8 +5,10 @@ cannot be undone. Namespaces hide other processes and their objects.
 """
 
 import ctypes
+import errno
 import os
 import platform
+import signal
 import struct
 import sys
 import sysconfig
@@ -16,14 +18,18 @@ from pathlib import Path
 from typing import NamedTuple, NoReturn
 
 _LANDLOCK = 444  # system calls: create_ruleset, add_rule, restrict_self
-_READ = 1 << 2 | 1 << 3
-_EXECUTE = 1  # access rights: files and folders, programs
+# Access rights of Landlock.
+_READ = 1 << 2 | 1 << 3  # of files and folders
+_EXECUTE = 1  # of programs
 _FILE = 1 << 1 | 1 << 2 | 1 << 14 | 1 << 15  # of single files: write, read, truncate, control
 _RIGHTS = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}  # number of rights by version of Landlock
 _SCOPED = 3  # abstract sockets and signals, from version 6
-_NO_NEW_PRIVILEGES = 38
+# Options of prctl.
+_END_SIGNAL = 1  # PR_SET_PDEATHSIG
 _SECCOMP = 22
 _FILTER = 2
+_ADOPT_ORPHANS = 36  # PR_SET_CHILD_SUBREAPER
+_NO_NEW_PRIVILEGES = 38
 _NAMESPACES = 0x10000000 | 0x20000000 | 0x08000000 | 0x40000000  # users, PIDs, IPC, network
 _CAPABILITIES_VERSION = 0x20080522
 
@@ -103,18 +109,22 @@ _COMMANDS = (0, 1, 2, 3, 4, 5, 6, 7, 36, 37, 38, 1030)  # of fcntl: copies, flag
 _OPTIONS = (15, 16, 23, 0x53564D41)  # of prctl: names of threads and memory, read capabilities
 _OF_ITSELF = ("kill", "tgkill", "rt_sigqueueinfo", "rt_tgsigqueueinfo")  # first argument: a process
 
+# Instructions of a filter.
 _LOAD = 0x20
 _EQUAL = 0x15
 _ANY = 0x45
-_RETURN = 0x06  # instructions
+_RETURN = 0x06
+# Its results.
 _ALLOW = 0x7FFF0000
-_REFUSE = 0x00050001
-_MISSING = 0x00050026  # results: EPERM, ENOSYS
+_REFUSE = 0x00050001  # EPERM
+_MISSING = 0x00050026  # ENOSYS
 _NO_TERMINAL = 0x00050019  # ENOTTY
+# Places in its data: the call, the processor and arguments.
 _NUMBER = 0
 _PROCESSOR = 4
 _FIRST = 16
-_SECOND = 24  # places in the data of a filter
+_SECOND = 24
+_Instruction = tuple[int, ...]  # code, value, and for comparisons the jumps if true and if false
 
 
 class Mechanism(NamedTuple):
@@ -167,9 +177,10 @@ def run_confined(
     resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if get_landlock_version() >= 1:
-        system = [*_SYSTEM, *readable]
         _restrict_files(
-            list(map(Path, writable)), list(map(Path, system)), [Path(command[0]).parent]
+            [Path(name) for name in writable],
+            [Path(name) for name in (*_SYSTEM, *readable)],
+            [Path(command[0]).parent],
         )
     os.execv(command[0], list(command))
 
@@ -196,27 +207,33 @@ def drop_capabilities() -> None:
     """Drop the rights of an administrator, which the new namespace of users has given."""
     header = struct.pack("<Ii", _CAPABILITIES_VERSION, 0)
     if _library().capset(header, bytes(24)) != 0:
-        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+        raise _build_error()
 
 
 def end_with_parent() -> None:
     """Let the kernel kill this process at the end of its parent."""
-    _control(1, 9)  # PR_SET_PDEATHSIG, SIGKILL
+    _control(_END_SIGNAL, signal.SIGKILL)
 
 
 def adopt_orphans() -> None:
     """Become the parent of all descendants whose parents end."""
-    _control(36, 1)  # PR_SET_CHILD_SUBREAPER
+    _control(_ADOPT_ORPHANS, 1)
 
 
 def _library() -> ctypes.CDLL:
     return ctypes.CDLL(None, use_errno=True)
 
 
+def _build_error() -> OSError:
+    """Return the error of the last call of the C library."""
+    code = ctypes.get_errno()
+    return OSError(code, os.strerror(code))
+
+
 def _call(*arguments: object) -> int:
     result: int = _library().syscall(*map(_long, arguments))
     if result < 0:
-        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+        raise _build_error()
     return result
 
 
@@ -227,7 +244,7 @@ def _long(argument: object) -> object:
 def _control(*arguments: object) -> None:
     padded = [*map(_long, arguments), *[ctypes.c_long(0)] * (5 - len(arguments))]
     if _library().prctl(*padded) != 0:
-        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+        raise _build_error()
 
 
 def get_landlock_version() -> int:
@@ -247,13 +264,13 @@ def has_seccomp() -> bool:
     try:
         _control(_SECCOMP, _FILTER, None)
     except OSError as error:
-        return error.errno == 14  # EFAULT: it would read the filter
+        return error.errno == errno.EFAULT  # it would read the filter
     return False
 
 
 def _list_python_folders() -> Iterator[Path]:
     """Yield folders of modules and libraries, but none that contains the user's home."""
-    home = Path(os.path.expanduser("~"))  # noqa: PTH111  # never fails
+    home = Path(os.path.expanduser("~"))  # noqa: PTH111  # Path.home() fails without a home
     folder_names = [*sys.path, sys.prefix, sys.base_prefix, *sysconfig.get_paths().values()]
     folder_names += os.environ.get("LD_LIBRARY_PATH", "").split(":")
     for path in {Path(name) for name in folder_names if name}:
@@ -264,21 +281,21 @@ def _list_python_folders() -> Iterator[Path]:
 def _restrict_files(
     writable: Sequence[Path], readable: Sequence[Path], executable: Sequence[Path] = ()
 ) -> None:
+    """Refuse all access to files but below some folders; those that are missing are left out."""
     version = get_landlock_version()
     rights = (1 << _RIGHTS[min(version, max(_RIGHTS))]) - 1
-    scoped = _SCOPED if version >= 6 else 0
-    about = struct.pack("<QQQ", rights, 0, scoped)[: 24 if scoped else 8]
-    rules = _call(_LANDLOCK, about, len(about), 0)
+    attributes = struct.pack("<Q", rights)
+    if version >= 6:
+        attributes = struct.pack("<QQQ", rights, 0, _SCOPED)
+    rules = _call(_LANDLOCK, attributes, len(attributes), 0)
+    grants = [(path, _READ) for path in readable]
+    grants += [(path, _READ | _EXECUTE) for path in executable]
+    grants += [(Path(name), _READ | _FILE) for name in _DEVICES]
+    grants += [(path, rights & ~_EXECUTE) for path in writable]
     try:
-        for paths, allowed in (
-            (readable, _READ),
-            (executable, _READ | _EXECUTE),
-            (map(Path, _DEVICES), _READ | _FILE),
-            (writable, rights & ~_EXECUTE),
-        ):
-            for path in paths:
-                with suppress(FileNotFoundError, PermissionError):
-                    _allow(rules, path, allowed & rights)
+        for path, allowed in grants:
+            with suppress(FileNotFoundError, PermissionError):
+                _allow(rules, path, allowed & rights)
         _call(_LANDLOCK + 2, rules, 0)
     finally:
         os.close(rules)
@@ -297,11 +314,32 @@ def _allow(rules: int, path: Path, allowed: int) -> None:
 def _restrict_calls() -> None:
     """Refuse all system calls but `CALLS`; clone3, whose flags are hidden, does not exist."""
     column, processor = _PROCESSORS[platform.machine()]
-    numbers = {name: row[column] for name, row in CALLS.items()}
-    steps = [
+    instructions: list[_Instruction] = [
         (_LOAD, _PROCESSOR), (_EQUAL, processor, 1, 0), (_RETURN, _REFUSE), (_LOAD, _NUMBER),
     ]  # fmt: skip
-    checks: dict[str, list[tuple[int, ...]]] = {
+    checks = _list_checks()
+    for name, numbers in CALLS.items():
+        number = numbers[column]
+        if number is not None:
+            check = checks.get(name, [(_RETURN, _ALLOW)])
+            instructions += [(_EQUAL, number, 0, len(check)), *check]
+    instructions.append((_RETURN, _REFUSE))
+    code = b"".join(map(_encode, instructions))
+    code_buffer = ctypes.create_string_buffer(code, len(code))
+    program = struct.pack("<HxxxxxxQ", len(instructions), ctypes.addressof(code_buffer))
+    _control(_SECCOMP, _FILTER, program)
+
+
+def _encode(instruction: _Instruction) -> bytes:
+    """Return an instruction as the kernel reads it, with jumps before the value."""
+    code, value, *jumps = instruction
+    if_true, if_false = jumps or (0, 0)
+    return struct.pack("<HBBI", code, if_true, if_false, value)
+
+
+def _list_checks() -> dict[str, list[_Instruction]]:
+    """Return instructions that end a filter by the arguments of a call, by its name."""
+    checks: dict[str, list[_Instruction]] = {
         "clone3": [(_RETURN, _MISSING)],
         "clone": [(_LOAD, _FIRST), (_ANY, _THREAD, 1, 0), (_RETURN, _REFUSE),
                   (_ANY, _FOREIGN_CLONES, 0, 1), (_RETURN, _REFUSE), (_RETURN, _ALLOW)],
@@ -312,19 +350,12 @@ def _restrict_calls() -> None:
         "prctl": _require_value(_FIRST, _OPTIONS),
         "prlimit64": _require_value(_FIRST, (0, os.getpid())),
     }  # fmt: skip
-    checks |= {name: _require_value(_FIRST, (os.getpid(),)) for name in _OF_ITSELF}
-    for name, number in numbers.items():
-        if number is not None:
-            check = checks.get(name, [(_RETURN, _ALLOW)])
-            steps += [(_EQUAL, number, 0, len(check)), *check]
-    steps.append((_RETURN, _REFUSE))
-    code = b"".join(struct.pack("<HBBI", step[0], *(step[2:] or (0, 0)), step[1]) for step in steps)
-    code_buffer = ctypes.create_string_buffer(code, len(code))
-    program = struct.pack("<HxxxxxxQ", len(steps), ctypes.addressof(code_buffer))
-    _control(_SECCOMP, _FILTER, program)
+    for name in _OF_ITSELF:
+        checks[name] = _require_value(_FIRST, (os.getpid(),))
+    return checks
 
 
-def _require_value(place: int, values: Sequence[int]) -> list[tuple[int, ...]]:
+def _require_value(place: int, values: Sequence[int]) -> list[_Instruction]:
     """Return instructions that allow a call whose argument is one of some values.
 
     The lower half of the argument is compared, since the kernel ignores the upper one.
