@@ -5,7 +5,7 @@ The types are for reading only; annotations stay as they are.
 
 import inspect
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from os import PathLike
 from types import FunctionType, NoneType, UnionType
 from typing import Annotated, Any, ForwardRef, Literal, Self, Union, get_args, get_origin
@@ -49,12 +49,29 @@ def describe_type(annotation: Any) -> str:
     """Return an annotation in the words of users, such as ``Log | path``."""
     if annotation is ArrayLike:
         return "array"
-    origin = get_origin(annotation)
     if isinstance(annotation, ForwardRef):
         annotation = annotation.__forward_arg__
     if isinstance(annotation, str):
-        text = re.sub(r"\b[a-z_]+\.(?=\w)", "", annotation.replace('"', ""))
-        return re.sub(r"\w+", lambda match: _WORDS.get(match[0], match[0]), text)
+        return _describe_text(annotation)
+    if get_origin(annotation) is not None:
+        return _describe_generic(annotation)
+    if annotation is NoneType:
+        return "None"
+    if annotation is Ellipsis:
+        return "..."
+    name = getattr(annotation, "__name__", None) or str(annotation)
+    return _WORDS.get(name, name)
+
+
+def _describe_text(annotation: str) -> str:
+    """Return the words for an annotation that is a text, without modules and quotes."""
+    text = re.sub(r"\b[a-z_]+\.(?=\w)", "", annotation.replace('"', ""))
+    return re.sub(r"\w+", lambda match: _WORDS.get(match[0], match[0]), text)
+
+
+def _describe_generic(annotation: Any) -> str:
+    """Return the words for a type with arguments."""
+    origin: Any = get_origin(annotation)
     if origin is Annotated:
         return describe_type(get_args(annotation)[0])
     if origin in (Union, UnionType):
@@ -62,19 +79,12 @@ def describe_type(annotation: Any) -> str:
     if origin is Literal:
         return "str"
     # NumPy's array types are aliases with a value from 2.5 on.
-    if origin is np.ndarray or getattr(origin, "__name__", "") == "NDArray":
+    if origin is np.ndarray or origin.__name__ == "NDArray":
         return "ndarray"
-    if origin is Callable or getattr(origin, "__name__", "") == "Callable":
+    if origin.__name__ == "Callable":
         return "Callable"
-    if origin is not None:
-        arguments = ", ".join(describe_type(argument) for argument in get_args(annotation))
-        return f"{origin.__name__}[{arguments}]"
-    if annotation is NoneType:
-        return "None"
-    if annotation is Ellipsis:
-        return "..."
-    name = getattr(annotation, "__name__", None) or str(annotation)
-    return _WORDS.get(name, name)
+    arguments = ", ".join(describe_type(argument) for argument in get_args(annotation))
+    return f"{origin.__name__}[{arguments}]"
 
 
 def _describe_union(kinds: tuple[Any, ...]) -> str:
@@ -170,7 +180,7 @@ def show_signatures(value: object) -> None:
         _show_signature(value)
     elif isinstance(value, type):
         if "__signature__" in vars(value):  # made by Pydantic
-            value.__signature__ = _Signature.from_signature(inspect.signature(value))  # type: ignore[attr-defined]
+            _set_signature(value, inspect.signature(value))
         for kind in value.__mro__:
             if kind.__module__.partition(".")[0] in ("hesr", "hesr_model", "cosim", "fmu_src"):
                 _show_methods(vars(kind))
@@ -187,4 +197,8 @@ def _show_methods(members: Mapping[str, object]) -> None:
 def _show_signature(function: FunctionType) -> None:
     signature = inspect.signature(function)
     if not isinstance(signature, _Signature):
-        function.__signature__ = _Signature.from_signature(signature)  # type: ignore[attr-defined]
+        _set_signature(function, signature)
+
+
+def _set_signature(value: Any, signature: inspect.Signature) -> None:
+    value.__signature__ = _Signature.from_signature(signature)  # what `inspect.signature` returns
