@@ -81,8 +81,9 @@ def _fork() -> None:
 
 
 def _require_other_processes() -> None:
-    own = {os.getpid(), os.getppid()}
-    if not any(name.isdigit() and int(name) not in own for name in os.listdir("/proc")):  # noqa: PTH208
+    own_numbers = {str(os.getpid()), str(os.getppid())}
+    numbers = {entry.name for entry in Path("/proc").iterdir() if entry.name.isdigit()}
+    if not numbers - own_numbers:
         raise OSError
 
 

@@ -11,6 +11,7 @@ from system_calls import read_numbers
 from test_foreign_fmus import go, hostile_lag, linux
 
 from fmu_src.run.fmu import FmuInstance
+from fmu_src.run.sandbox import SandboxedInstance
 from hesr_model.errors import SimulationError
 from hesr_model.support import rights
 from hesr_model.support.child import run_in_child
@@ -82,7 +83,7 @@ def list_ipc() -> list[str]:
     """Objects of System V and queues, those of other users included."""
     places = [Path(f"/proc/sysvipc/{kind}") for kind in ("shm", "sem", "msg")]
     texts = [place.read_text(encoding="utf-8") for place in places if place.exists()]
-    return [*texts, *sorted(os.listdir("/dev/shm"))]  # noqa: PTH208
+    return [*texts, *sorted(entry.name for entry in Path("/dev/shm").iterdir())]
 
 
 @linux
@@ -120,7 +121,8 @@ def test_attacks_elsewhere_are_not_refused_alike(hostile_lag: Path, target: Path
         if line.split()[0] in map(str, HARMLESS_NUMBERS)
     ]
     with FmuInstance(hostile_lag) as lag:
-        library = next(Path(lag._instance.sandbox.readable).rglob("*.so"))  # type: ignore[union-attr]
+        assert isinstance(lag._instance, SandboxedInstance)
+        library = next(lag._instance.sandbox.readable.rglob("*.so"))
         process = subprocess.run(
             [sys.executable, "-c", CONTROL, library],
             env=os.environ | {"DEED": "load attack", "REPORT": "1", "ATTACKS": "".join(harmless)},
