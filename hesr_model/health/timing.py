@@ -24,7 +24,8 @@ from hesr_model.robots.robot import Robot
 from hesr_model.robots.transmission import transform_motion
 from hesr_model.support.arrays import Array, Mask
 
-_VELOCITY_COLUMN_COUNT = 3  # of friction without memory, which may be negative
+_FREE_COLUMN_COUNT = 3  # last shapes of friction, whose weights may be negative
+_MEMORYLESS_COLUMN_COUNT = 2  # shapes before them, of friction that depends on velocity only
 _MAX_DELAY = 0.25  # largest delay searched [s]
 _SEARCH_STEP = 0.005  # [s]
 _ZERO_SHIFT = round(_MAX_DELAY / _SEARCH_STEP)
@@ -153,7 +154,8 @@ def _build_averages(t: Array, times: Array, period: float) -> Any:
 def _compute_friction_shapes(u: Array, v: Array, memory: Memory = _MEMORY) -> Array:
     """Return friction of several shapes (N, K) along a position u (N,).
 
-    The last three may have negative weights.
+    Those with memory come first, then `_MEMORYLESS_COLUMN_COUNT` of velocity only, then
+    `_FREE_COLUMN_COUNT` of velocity that may have negative weights.
     """
     travel = max(float(np.ptp(u)), 1e-300)
     kernel = _build_stops(tuple(memory.widths.tolist()))
@@ -194,11 +196,10 @@ def check_clocks(
     joint_lags = find_lags(rows, joints)
     # Joints with one lag confirm each other; that of a single joint may be memory of its friction.
     is_common = len(joint_lags) > 1 and len(set(joint_lags.values())) == 1
-    if is_common or not joint_lags:
-        trials_by_joint: dict[int, tuple[Race | Statistic, ...]] = {
-            j: _race_lag(rows, j, lag) for j, lag in joint_lags.items()
-        }
-    else:
+    trials_by_joint: dict[int, tuple[Race | Statistic, ...]] = {}
+    if is_common:
+        trials_by_joint = {j: (_race_lag(rows, j, lag),) for j, lag in joint_lags.items()}
+    elif joint_lags:
         rival_rows = LagRows.from_log(part.log, robot, base, _RIVAL_MEMORY)
         trials_by_joint = {j: _try_memory(rival_rows, j, lag) for j, lag in joint_lags.items()}
     lag_hypotheses = [
@@ -233,13 +234,17 @@ def _doubt_lag(
     )
 
 
-def _race_lag(rows: LagRows, j: int, lag: Estimate) -> tuple[Race, ...]:
+# Of a joint with too few rows: its lag is neither stated nor denied.
+_UNKNOWN_LAG = Statistic(name="its lag", estimate=Estimate(value=1.0, error=np.inf), high=0.0)
+
+
+def _race_lag(rows: LagRows, j: int, lag: Estimate) -> Race | Statistic:
     """Return the race of a lag against none, by residuals of friction with memory."""
     projected = _project_lag_rows(rows, j)
     if projected is None:
-        return ()
+        return _UNKNOWN_LAG
     shapes, torques, _ = projected
-    return (_race_shifts(_compute_residuals(shapes, torques), _SHIFTS, lag),)
+    return _race_shifts(_compute_residuals(shapes, torques), _SHIFTS, lag)
 
 
 def _race_shifts(residuals: Array, shifts: Array, lag: Estimate) -> Race:
@@ -268,23 +273,25 @@ def _try_memory(rows: LagRows, j: int, lag: Estimate) -> tuple[Race | Statistic,
     """
     projected = _project_lag_rows(rows, j)
     if projected is None:
-        # Nothing can be told.
-        return (Statistic(name="its lag", estimate=Estimate(value=1.0, error=np.inf), high=0.0),)
+        return (_UNKNOWN_LAG,)
     shapes, torques, _ = projected
     shifts = np.arange(_ZERO_SHIFT % _RIVAL_STRIDE, len(_SHIFTS), _RIVAL_STRIDE)
     race = _race_shifts(_compute_residuals(shapes, torques[:, shifts]), _SHIFTS[shifts], lag)
-    memoryless_squares = _compute_residuals(shapes[:, -2:], torques[:, [_ZERO_SHIFT]]) ** 2
-    rival_total = float(np.sum(race.rival_squares))
-    remaining_share = rival_total / max(float(np.sum(memoryless_squares)), 1e-300)
-    share = Statistic(
+    memoryless_shapes = shapes[:, -_MEMORYLESS_COLUMN_COUNT:]
+    memoryless_residual = _compute_residuals(memoryless_shapes, torques[:, [_ZERO_SHIFT]])
+    memoryless_total = max(float(np.sum(memoryless_residual**2)), 1e-300)
+    # The gain is a share of what friction with memory leaves; a little of little is no lag.
+    remaining_share = float(np.sum(race.rival_squares)) / memoryless_total
+    explained_share = Estimate(
+        value=race.gain.value * remaining_share, error=race.gain.error * remaining_share
+    )
+    statistic = Statistic(
         name="what the lag explains, over what friction without memory leaves",
-        estimate=Estimate(
-            value=race.gain.value * remaining_share, error=race.gain.error * remaining_share
-        ),
+        estimate=explained_share,
         high=_MIN_SHARE_OF_MEMORY,
         errors=_INTERVAL_ERRORS,
     )
-    return race, share
+    return race, statistic
 
 
 def _doubt_rate(rate: float, certainty: float) -> Hypothesis:
@@ -391,8 +398,9 @@ def estimate_delays(rows: LagRows, j: int) -> tuple[Estimate, Estimate]:
     if projected is None:
         return (Estimate(value=0.0, error=np.inf),) * 2
     shapes, torques, unknown_count = projected
+    memoryless_shapes = shapes[:, -_MEMORYLESS_COLUMN_COUNT:]
     return _fit_delay(shapes, torques, unknown_count), _fit_delay(
-        shapes[:, -2:], torques, unknown_count
+        memoryless_shapes, torques, unknown_count
     )
 
 
@@ -401,7 +409,7 @@ def _project_lag_rows(rows: LagRows, j: int) -> tuple[Array, Array, int] | None:
 
     The third item is the number of unknowns of the body; None if there are too few rows.
     """
-    shape_count = rows.friction_shapes[j].shape[1] - _VELOCITY_COLUMN_COUNT
+    shape_count = rows.friction_shapes[j].shape[1] - _FREE_COLUMN_COUNT
     is_known = rows.is_known[:, j]
     shapes, other_columns = np.split(rows.friction_shapes[j][is_known], [shape_count], axis=1)
     other_columns = np.hstack([(rows.static + rows.inertial)[is_known, j], other_columns])

@@ -32,6 +32,7 @@ from hesr_model.health.positions import (
     check_time,
 )
 from hesr_model.health.referee import Estimate, Hypothesis, state
+from hesr_model.health.timing import LagRows, _race_lag, _try_memory
 from hesr_model.health.torque import check_raw_signals, check_speed, check_torque, compute_speeds
 from hesr_model.health.velocity import check_velocity
 from hesr_model.logs.robot_log import Log
@@ -384,3 +385,16 @@ def test_time_is_in_milliseconds_only_if_its_rate_is_plausible() -> None:
         found, *_ = (f for f in state(check_velocity(part, TWO)) if f.check == "velocity-scale")
         # A log of half a second is rather one of a motor before a gear.
         assert dict(found.changes) == changes
+
+
+def test_a_lag_is_neither_stated_nor_denied_of_a_joint_without_known_friction() -> None:
+    rows = LagRows(
+        torques=np.ones((60, 101, 1)),
+        static=np.zeros((60, 1, 2)),
+        inertial=np.zeros((60, 1, 2)),
+        friction_shapes=(np.ones((60, 21)),),
+        is_known=np.zeros((60, 1), dtype=bool),
+    )
+    lag = Estimate(value=0.1, error=0.001)
+    for trial in (_race_lag(rows, 0, lag), *_try_memory(rows, 0, lag)):
+        assert trial.outcome == "open"
