@@ -152,23 +152,22 @@ def _suppose_angle_units(rows: SupposedRows, robot: Robot) -> Iterator[Mistake]:
     log_format = robot.description.log
     is_rotary = ~np.array(robot.slides)
     quantities = ("q", "dq") if log_format.columns.dq else ("q",)
-    stated_units = {
-        quantity: np.array(log_format.units.expand_per_joint(quantity, robot.n), dtype=object)
-        for quantity in quantities
-    }
-    are_radians = all(
-        np.all(units[is_rotary] == LogUnits.model_fields[quantity].default)
-        for quantity, units in stated_units.items()
-    )
-    if not are_radians or not np.any(is_rotary):
+    for quantity in quantities:
+        joint_units = np.array(log_format.units.expand_per_joint(quantity, robot.n), dtype=object)
+        if np.any(joint_units[is_rotary] != getattr(LogUnits(), quantity)):
+            return
+    if not np.any(is_rotary):
         return
     zero = np.array(log_format.zero or np.zeros(robot.n))
     for unit in ("deg", "rev"):
         names = {"q": unit, "dq": f"{unit}/s"}
         changes: dict[str, object] = {}
-        for quantity, units in stated_units.items():
-            new_units = tuple(np.where(is_rotary, names[quantity], units).tolist())
-            changes[f"log.units.{quantity}"] = names[quantity] if is_rotary.all() else new_units
+        for quantity in quantities:
+            changes[f"log.units.{quantity}"] = (
+                names[quantity]
+                if is_rotary.all()
+                else log_format.units.replace_units(quantity, is_rotary.tolist(), names[quantity])
+            )
         sizes = np.where(is_rotary, REVOLUTE_UNITS["q"][unit], 1.0)
         corrected = replace(
             rows, q=(rows.q - zero) * sizes + zero, v=rows.v * sizes, a=rows.a * sizes

@@ -303,10 +303,7 @@ def check_limits(part: SmoothPart, robot: Robot) -> Iterator[Hypothesis]:
 
 
 def _correct_degrees(description: RobotDescription, is_rotary: Array) -> str | tuple[object, ...]:
-    declared_units = description.log.units.expand_per_joint("q", len(is_rotary))
-    corrected_units = tuple(
-        "deg" if rotary else unit for unit, rotary in zip(declared_units, is_rotary, strict=True)
-    )
+    corrected_units = description.log.units.replace_units("q", is_rotary.tolist(), "deg")
     return "deg" if len(set(corrected_units)) == 1 else corrected_units
 
 

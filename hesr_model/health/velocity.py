@@ -437,34 +437,17 @@ def _find_cause(
 ) -> tuple[str, dict[str, object]]:
     """Return what explains the ratio of a position's change to its velocity, and its mend."""
     ratio = abs(matches[j].slope)
-    are_alike = len(matches) > 1 and all(
+    concerns_all = all(
         abs(np.log(abs(other.slope) / ratio)) < _FACTOR_TOLERANCE for other in matches.values()
     )
-    units = description.log.units
-    joint_count = len(description.joints)
-    exceeds_turns = np.max(np.ptp(part.q, axis=0)) > _MAX_ARM_TRAVEL
-    for quantity in ("q", "dq") if exceeds_turns else ("dq", "q"):
-        # q' = q f scales the derivative of the position by f, dq' = dq f the logged velocity.
-        needed_factor = 1.0 / ratio if quantity == "q" else ratio
-        known_units = PRISMATIC_UNITS if slides[j] else REVOLUTE_UNITS
-        declared_factor = float(units.factors(quantity, joint_count)[j])
-        for unit in _find_units(known_units[quantity], declared_factor, needed_factor):
-            concerns_all = are_alike or len(matches) == 1
-            new_units = tuple(
-                # Sliding and rotary joints have different units.
-                unit if k == j or (concerns_all and slides[k] == slides[j]) else stated_unit
-                for k, stated_unit in enumerate(units.expand_per_joint(quantity, joint_count))
-            )
-            is_only_unit = concerns_all and set(new_units) == {unit}
-            changes: dict[str, object] = {
-                f"log.units.{quantity}": unit if is_only_unit else new_units
-            }
-            return f"{quantity} is in {unit}", changes
+    unit_cause = _find_joint_unit(description, j, ratio, part, slides, concerns_all=concerns_all)
+    if unit_cause is not None:
+        return unit_cause
     motor_cause = _find_motor_unit(description, j, ratio)
     if motor_cause is not None:
         return motor_cause
-    if are_alike or len(matches) == 1:
-        clock_cause = _find_clock(units, matches, part.log)
+    if concerns_all:
+        clock_cause = _find_clock(description.log.units, matches, part.log)
         if clock_cause is not None:
             return clock_cause
     if slides[j]:
@@ -473,6 +456,39 @@ def _find_cause(
         # Of a single joint a gear and a wrong rate of the stamps are the same.
         return f"{_UNKNOWN_CAUSE}, or the rate of the time stamps", {}
     return _find_gear(description, j, matches[j])
+
+
+def _find_joint_unit(
+    description: RobotDescription,
+    j: int,
+    ratio: float,
+    part: SmoothPart,
+    slides: Sequence[bool],
+    *,
+    concerns_all: bool,
+) -> tuple[str, dict[str, object]] | None:
+    """Return the unit of the position or velocity of a joint that explains a ratio."""
+    units = description.log.units
+    known_units = PRISMATIC_UNITS if slides[j] else REVOLUTE_UNITS
+    # Sliding and rotary joints have different units.
+    is_corrected = [
+        k == j or (concerns_all and is_sliding == slides[j]) for k, is_sliding in enumerate(slides)
+    ]
+    exceeds_turns = np.max(np.ptp(part.q, axis=0)) > _MAX_ARM_TRAVEL
+    for quantity in ("q", "dq") if exceeds_turns else ("dq", "q"):
+        # q' = q f scales the derivative of the position by f, dq' = dq f the logged velocity.
+        needed_factor = 1.0 / ratio if quantity == "q" else ratio
+        declared_factor = float(units.factors(quantity, len(slides))[j])
+        unit = _find_unit(known_units[quantity], declared_factor, needed_factor)
+        if unit is None:
+            continue
+        joint_units = units.replace_units(quantity, is_corrected, unit)
+        is_only_unit = concerns_all and set(joint_units) == {unit}
+        changes: dict[str, object] = {
+            f"log.units.{quantity}": unit if is_only_unit else joint_units
+        }
+        return f"{quantity} is in {unit}", changes
+    return None
 
 
 def _find_motor_unit(
@@ -484,17 +500,17 @@ def _find_motor_unit(
         return None
     units = description.log.units
     joint_count = len(description.joints)
+    is_joint = [k == j for k in range(joint_count)]
     for quantity, needed_factor in (("dq", ratio), ("q", 1.0 / ratio)):
         # At the joint, a unit of the motor is smaller by the gear ratio.
         declared_factor = float(units.factors(quantity, joint_count)[j])
         motor_units = REVOLUTE_UNITS[quantity]
-        for unit in _find_units(motor_units, declared_factor, needed_factor * gear_ratio):
-            joint_units = list(units.expand_per_joint(quantity, joint_count))
-            joint_units[j] = float(f"{find_si_factor(quantity, unit) / gear_ratio:.6g}")
-            return (
-                f"{quantity} belongs to the motor, in {unit}",
-                {f"log.units.{quantity}": tuple(joint_units)},
-            )
+        unit = _find_unit(motor_units, declared_factor, needed_factor * gear_ratio)
+        if unit is not None:
+            size = float(f"{find_si_factor(quantity, unit) / gear_ratio:.6g}")
+            joint_units = units.replace_units(quantity, is_joint, size)
+            remedy = f"{quantity} belongs to the motor, in {unit}"
+            return remedy, {f"log.units.{quantity}": joint_units}
     return None
 
 
@@ -549,12 +565,12 @@ def _find_gear(
         if whole_ratio < 2 or by_chance > _MAX_CHANCE:
             continue
         if abs(np.log(gear_ratio / whole_ratio)) < tolerance:
-            joint_units = list(units.expand_per_joint("dq", joint_count))
-            joint_units[j] = float(f"{factor / whole_ratio:.6g}")
+            is_joint = [k == j for k in range(joint_count)]
+            size = float(f"{factor / whole_ratio:.6g}")
             return (
                 f"dq belongs to a motor, in {unit}, that turns {whole_ratio} times per turn of the "
                 "joint",
-                {"log.units.dq": tuple(joint_units)},
+                {"log.units.dq": units.replace_units("dq", is_joint, size)},
             )
     remedy = _UNKNOWN_CAUSE
     if description.gear_ratio is None:
@@ -562,10 +578,11 @@ def _find_gear(
     return remedy, {}
 
 
-def _find_units(
+def _find_unit(
     known_units: Mapping[str, float], declared_factor: float, needed_factor: float
-) -> Iterator[str]:
-    """Yield the known units that are `needed_factor` times the size of the declared one."""
+) -> str | None:
+    """Return the known unit that is `needed_factor` times the size of the declared one, or None."""
     for unit, factor in known_units.items():
         if abs(np.log(abs(factor / declared_factor) / needed_factor)) < _FACTOR_TOLERANCE:
-            yield f"-{unit}" if declared_factor < 0 else unit
+            return f"-{unit}" if declared_factor < 0 else unit
+    return None

@@ -127,6 +127,16 @@ class LogUnits(Config):
             [find_si_factor(quantity, unit) for unit in self.expand_per_joint(quantity, joints)]
         )
 
+    def replace_units(
+        self, quantity: str, is_replaced: Sequence[bool], unit: str | float
+    ) -> tuple[str | float, ...]:
+        """Return the unit of each joint, with another one for the joints `is_replaced` (n,)."""
+        joint_units = self.expand_per_joint(quantity, len(is_replaced))
+        return tuple(
+            unit if replaced else joint_unit
+            for joint_unit, replaced in zip(joint_units, is_replaced, strict=True)
+        )
+
     @property
     def zero_of_temperature(self) -> float:
         """Logged value at 0 degC."""
