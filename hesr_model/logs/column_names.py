@@ -129,6 +129,13 @@ _UNITS: Mapping[str, Mapping[str, UnitSize]] = {
 }  # fmt: skip
 """Spellings of units in lower case, by quantity; those of other quantities belong to ''."""
 _QUANTITY_OF_UNIT = {text: quantity for quantity, texts in _UNITS.items() for text in texts}
+# Ends of the names of two columns that are one time: whole seconds, and what has passed since.
+FRACTION_ENDINGS = {
+    "ns": ("nanosec", "nanosecs", "nanoseconds", "nsec", "nsecs", "ns"),
+    "us": ("microsec", "microsecs", "microseconds", "usec", "usecs", "us"),
+    "ms": ("millisec", "millisecs", "milliseconds", "msec", "msecs", "ms"),
+}
+SECONDS_ENDINGS = ("seconds", "secs", "sec", "s")
 # Spellings that are words or letters of other things, unless they are in brackets.
 _BRACKET_ONLY = _split_words("m n a c k s v w j bar pa mv arms inch turn rev turns")
 _BRACKETS = re.compile(r"[\[(<]([^\[\]()<>]*)[\])>]")
@@ -170,6 +177,20 @@ def read_unit(name: str) -> tuple[str, UnitSize] | None:
             quantity = _QUANTITY_OF_UNIT[word]
             return quantity, _UNITS[quantity][word]
     return None
+
+
+def simplify_name(name: str) -> str:
+    """Return a name in lower case, without what is in brackets, as a unit."""
+    return _BRACKETS.sub("", name).strip().lower()
+
+
+def find_fraction_unit(name: str) -> str:
+    """Return the unit of a column of what has passed since whole seconds; ns by default."""
+    plain = simplify_name(name)
+    for unit, endings in FRACTION_ENDINGS.items():
+        if plain.endswith(endings):
+            return unit
+    return "ns"
 
 
 def _normalise_unit(text: str) -> str:

@@ -14,23 +14,20 @@ from hesr_model.logs.column_names import (
     BY_UNIT,
     COMMANDED_QUANTITIES,
     FORCE_WORDS,
+    FRACTION_ENDINGS,
     MEASURED_WORDS,
+    SECONDS_ENDINGS,
     TIME_WORDS,
     Reading,
     UnitSize,
+    find_fraction_unit,
     read_name,
     read_unit,
+    simplify_name,
     split_tokens,
 )
 from hesr_model.logs.kinematics import DerivativeMatch, match_derivative
-from hesr_model.logs.log_table import (
-    FRACTION_ENDINGS,
-    SECONDS_ENDINGS,
-    LogTable,
-    find_fraction_unit,
-    is_seconds_and_fraction,
-    remove_brackets,
-)
+from hesr_model.logs.log_table import LogTable, is_seconds_and_fraction
 from hesr_model.support.arrays import Array
 from hesr_model.units import COMMON_UNITS, find_si_factor
 
@@ -407,7 +404,7 @@ def _find_stems(names: Sequence[str], endings: Sequence[str]) -> dict[str, str]:
     """Return the names that have one of some endings, by what is before it in lower case."""
     stems = {}
     for name in names:
-        plain = remove_brackets(name).strip().lower()
+        plain = simplify_name(name)
         for ending in sorted(endings, key=len, reverse=True):
             if plain.endswith(ending):
                 stems[plain.removesuffix(ending)] = name

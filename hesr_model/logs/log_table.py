@@ -1,6 +1,5 @@
 """A table of numbers, with messages that name the wrong cell."""
 
-import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -11,20 +10,13 @@ from typing import Any
 import numpy as np
 
 from hesr_model.errors import LogError
+from hesr_model.logs.column_names import find_fraction_unit
 from hesr_model.support.arrays import Array
 
 _MAX_COLUMNS = 10_000
 _MAX_NAMES = 30  # names in a sentence
 _MAX_NAME_LENGTH = 60  # characters of a name
 _UNITS = {"D": 86400.0, "m": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # of times [s]
-_NANOSECONDS = {"ns": 1, "us": 1_000, "ms": 1_000_000}
-FRACTION_ENDINGS = {
-    "ns": ("nanosec", "nanosecs", "nanoseconds", "nsec", "nsecs", "ns"),
-    "us": ("microsec", "microsecs", "microseconds", "usec", "usecs", "us"),
-    "ms": ("millisec", "millisecs", "milliseconds", "msec", "msecs", "ms"),
-}  # of names of columns, in lower case
-SECONDS_ENDINGS = ("seconds", "secs", "sec", "s")
-_BRACKETED = re.compile(r"[\[(<][^\[\]()<>]*[\])>]")
 _MAX_SECONDS = 9e9  # whose nanoseconds 64 bits hold
 _SINCE_1970 = 1e8  # [s]; larger stamps count from an epoch
 
@@ -103,8 +95,8 @@ class LogTable:
     def times(self, name: str | tuple[str, str], unit: float, *, missing: bool = False) -> Array:
         """Return time stamps (N,) [s], given in `unit` [s]; dates from the first one.
 
-        Of two columns, the first one has whole seconds, the second one nanoseconds since, or
-        what its name says.
+        Of two columns, the first one has whole seconds. The second one has nanoseconds since, or
+        another unit that its name ends with.
         """
         stamps, unit = self._read_stamps(name, unit, missing)
         first_stamps = stamps
@@ -133,10 +125,7 @@ class LogTable:
         return (cells if is_integer else self._to_floats(name, cells, missing=missing)), unit
 
     def _join_stamps(self, seconds: str, fraction: str, *, missing: bool) -> Any:
-        """Return stamps (N,) [ns]; whole numbers stay exact.
-
-        The second column may have another unit by the end of its name.
-        """
+        """Return stamps (N,) [ns] of two columns; whole numbers stay exact."""
         unit = find_fraction_unit(fraction)
         values = self.numbers((seconds, fraction), missing=missing)
         if not is_seconds_and_fraction(values, unit):
@@ -147,9 +136,10 @@ class LogTable:
                 where=self.path,
                 key="log.columns.t",
             )
-        nanoseconds = _NANOSECONDS[unit]
-        if np.array_equal(values, np.rint(values)) and np.max(np.abs(values)) < _MAX_SECONDS:
-            # Nanoseconds since 1970 exceed the digits of a float.
+        nanoseconds = round(1e9 * _UNITS[unit])
+        is_whole = np.array_equal(values, np.rint(values))
+        # Nanoseconds since 1970 exceed the digits of a float.
+        if is_whole and np.max(np.abs(values)) < _MAX_SECONDS:
             whole_seconds, remainder = values.astype(np.int64).T
             return whole_seconds * 1_000_000_000 + remainder * nanoseconds
         return values[:, 0] * 1e9 + values[:, 1] * nanoseconds
@@ -202,22 +192,8 @@ def join_names(names: Sequence[str]) -> str:
     )
 
 
-def remove_brackets(name: str) -> str:
-    """Return a name without what is in brackets, as a unit."""
-    return _BRACKETED.sub("", name)
-
-
-def find_fraction_unit(name: str) -> str:
-    """Return the unit of a column of what follows whole seconds: ns unless its name says so."""
-    plain = remove_brackets(name).strip().lower()
-    for unit, endings in FRACTION_ENDINGS.items():
-        if plain.endswith(endings):
-            return unit
-    return "ns"
-
-
 def is_seconds_and_fraction(values: Array, unit: str) -> bool:
-    """Return whether columns (N, 2) are whole seconds and what follows in a `unit`, below 1 s."""
+    """Return whether columns (N, 2) are whole seconds, and less than 1 s since in a `unit`."""
     seconds, fraction = values[np.all(np.isfinite(values), axis=1)].T
     is_whole = np.array_equal(seconds, np.rint(seconds))
     return is_whole and bool(np.all((fraction >= 0.0) & (fraction * _UNITS[unit] < 1.0)))
