@@ -124,7 +124,7 @@ def _mix_motion_columns(rows: SupposedRows, robot: Robot, mixing: Array) -> Supp
     scales = description.log.units.factors("q", robot.n) / _find_gear_ratios(robot)
     to_columns = to_logged / scales[:, None]
     change = np.linalg.solve(to_columns, mixing @ to_columns).T
-    zero = np.array(description.log.zero or np.zeros(robot.n))
+    zero = np.array(description.log.zero or 0.0)
     return replace(rows, q=(rows.q - zero) @ change + zero, v=rows.v @ change, a=rows.a @ change)
 
 
@@ -158,7 +158,7 @@ def _suppose_angle_units(rows: SupposedRows, robot: Robot) -> Iterator[Mistake]:
             return
     if not np.any(is_rotary):
         return
-    zero = np.array(log_format.zero or np.zeros(robot.n))
+    zero = np.array(log_format.zero or 0.0)
     for unit in ("deg", "rev"):
         names = {"q": unit, "dq": f"{unit}/s"}
         changes: dict[str, object] = {}
@@ -295,7 +295,7 @@ _MAX_LOSS = 1.25  # largest loss of other joints
 _MIN_R2 = 0.6  # minimum R^2 after the correction
 _MIN_GAIN_OVER_SIMPLER = 1.05  # minimum gain over a simpler mistake
 _MAX_MISTAKES = 8  # mistakes searched one after another
-_MAX_NAMED_RIVALS = 2
+_MAX_NAMED_RIVALS = 2  # which suffice to doubt a mistake
 
 
 def pool_rows(parts: Sequence[SmoothPart], gravity: Sequence[float]) -> SupposedRows:
@@ -338,10 +338,8 @@ def check_causes(parts: Sequence[SmoothPart], robot: Robot) -> list[Hypothesis]:
             break
         rows = mistake.corrected
         share_before = share_after
-    joints_beyond = _find_joints_beyond_limits(rows.q, robot)
-    if not joints_beyond:
-        return hypotheses
-    return _doubt_robot(hypotheses, joints_beyond[0])
+    joint_beyond = _find_joint_beyond_limits(rows.q, robot)
+    return hypotheses if joint_beyond is None else _doubt_robot(hypotheses, joint_beyond)
 
 
 def _suppose(
@@ -423,10 +421,10 @@ def _doubt_robot(hypotheses: Sequence[Hypothesis], joint_beyond: str) -> list[Hy
     return doubted
 
 
-def _find_joints_beyond_limits(q: Array, robot: Robot) -> list[str]:
-    """Return the joints whose positions (N, n) exceed the limits by more than usual."""
+def _find_joint_beyond_limits(q: Array, robot: Robot) -> str | None:
+    """Return the first joint whose positions (N, n) exceed its limits by more than usual."""
     is_beyond = _compute_excess_shares(q, robot) > MAX_EXCESS_SHARE
-    return [robot.joints[j] for j in np.flatnonzero(is_beyond)]
+    return robot.joints[int(np.argmax(is_beyond))] if np.any(is_beyond) else None
 
 
 def _find_best_mistake(
@@ -464,14 +462,14 @@ def _find_best_mistake(
 
 def _add_rivals(mistake: Mistake, rivals: Sequence[Mistake], robot: Robot) -> str:
     """Return the remedy of a mistake, and those that explain the torques as well."""
-    rival_remedies = []
-    for rival in rivals:
-        joint = f" (joint '{robot.joints[rival.joint]}')" if rival.joint != mistake.joint else ""
-        rival_remedies.append("or " + rival.remedy + joint * (rival.joint >= 0))
-    if not rival_remedies:
+    if not rivals:
         return mistake.remedy
-    # A few examples suffice to doubt it.
-    doubt = ", ".join(rival_remedies[:_MAX_NAMED_RIVALS])
+    rival_remedies = []
+    for rival in rivals[:_MAX_NAMED_RIVALS]:
+        is_of_other_joint = rival.joint >= 0 and rival.joint != mistake.joint
+        place = f" (joint '{robot.joints[rival.joint]}')" if is_of_other_joint else ""
+        rival_remedies.append(f"or {rival.remedy}{place}")
+    doubt = ", ".join(rival_remedies)
     return f"{mistake.remedy}, {doubt}; the logs cannot show which"
 
 
