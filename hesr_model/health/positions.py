@@ -195,10 +195,11 @@ def _doubt_resolution(log: Log, j: int, joint: str, step: float, cutoff: float) 
     # Slow motion leaves rows without a change instead of noise.
     moving_steps = np.diff(log.q[: len(speeds) + 1, j])[np.abs(speeds) > MOVING_SHARE * peak]
     repeated_share = float(np.mean(moving_steps == 0.0)) if len(moving_steps) else 0.0
+    noise_or_repetition = max(measured_noise / step, repeated_share)
     trials = [
         Statistic(
             name="the noise of its position over a step, or its share of repeated rows",
-            estimate=Estimate(value=max(measured_noise / step, repeated_share), error=0.0),
+            estimate=Estimate(value=noise_or_repetition, error=0.0),
             high=_MIN_COARSE_NOISE,
         ),
         Statistic(
@@ -208,11 +209,13 @@ def _doubt_resolution(log: Log, j: int, joint: str, step: float, cutoff: float) 
         ),
     ]
     if all(trial.outcome == "won" for trial in trials):
-        # Steps of a ramp repeat so fast that a low pass may remove them; they are no white noise.
+        # White noise would pass the low pass, but steps of a ramp may repeat too fast for it. The
+        # log is smoothed again, which is slow, so that this trial is the last one.
+        ripple = _measure_ripple(log, j, cutoff)
         trials.append(
             Statistic(
                 name="the ripple of its velocity over its peak",
-                estimate=Estimate(value=_measure_ripple(log, j, cutoff) / peak, error=0.0),
+                estimate=Estimate(value=ripple / peak, error=0.0),
                 high=_MAX_SPEED_NOISE,
             )
         )

@@ -118,11 +118,11 @@ class Explanations:
 
         The first `non_negative` columns, this one included, have no negative factor.
         """
-        rival_squares, squares = (
-            self.predict(self.tau, sign * column, *others, non_negative=non_negative)
-            for sign in (1.0, -1.0)
+        return Race(
+            rival=rival,
+            rival_squares=self.predict(self.tau, column, *others, non_negative=non_negative),
+            squares=self.predict(self.tau, -column, *others, non_negative=non_negative),
         )
-        return Race(rival=rival, rival_squares=rival_squares, squares=squares)
 
     def race_torque_signs(self) -> Race:
         """Return the race of a reversed torque against the torque, under gravity as stated.
@@ -130,16 +130,12 @@ class Explanations:
         Friction brakes, and the inertia is free. In free swing gravity and inertia cancel, so that
         a torque that brakes the swing looks reversed if gravity may be left out.
         """
-        rival_squares, squares = (
-            self.predict(
-                sign * self.tau - self.gravity, self.inertial, self.friction, non_negative=3
-            )
-            for sign in (1.0, -1.0)
-        )
+        non_negative = 3  # of inertia and both shapes of friction, but not of the offset
+        others = (self.inertial, self.friction)
         return Race(
             rival="the torque as it is, with the model's gravity",
-            rival_squares=rival_squares,
-            squares=squares,
+            rival_squares=self.predict(self.tau - self.gravity, *others, non_negative=non_negative),
+            squares=self.predict(-self.tau - self.gravity, *others, non_negative=non_negative),
         )
 
     def estimate_spread(self, kind: int) -> float:
@@ -259,15 +255,15 @@ def _doubt_signal(
     # Motion one way at one speed shows no friction, however good the torque.
     tells = moves_both_ways(part.log.q[:, j])
     level_count = len(np.unique(part.tau[:, j]))
+    remedy = "it contains almost no signal, or belongs to another joint"
+    if is_stated:
+        remedy += ", or the model is of another robot"
     return Hypothesis(
         check="torque-signal",
         joint=robot.description.joints[j],
         observation=f"model and friction explain {100 * max(explained_share.value, 0.0):.0f} % of "
         f"its torque, which takes {level_count} values",
-        remedy="it contains almost no signal, or belongs to another joint, or the model is of "
-        "another robot"
-        if is_stated
-        else "it contains almost no signal, or belongs to another joint",
+        remedy=remedy,
         severity="warning",
         trials=(trial,),
         contradictions=()
