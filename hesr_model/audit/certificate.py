@@ -277,7 +277,7 @@ class _Proof:
         if waves:
             self._prove_ripple(waves, curve, damping)
         if abs(curve.offset) > curve.slack:
-            # A full turn is no closed path: there the offset does 2 pi of it as work.
+            # Over a full turn the position does not return: the offset does work of 2 pi times it.
             self.storage_terms.append(f"{curve.offset:.3g} q")
             self.conditions.append(
                 f"the offset of {curve.offset:.3g} N.m does no work over a closed path"

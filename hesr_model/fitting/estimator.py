@@ -30,8 +30,8 @@ class Estimator(ABC):
     everyday : True to include it in studies without a list of laws.
     classic : True for laws of the literature; the strongest is the reference in
         scores.
-    baseline : True for what a user has without a friction model; can be fitted
-        to any log.
+    baseline : True for simple laws that others must beat; they can be fitted to
+        any log.
     order : position in tables; laws of other packages come last.
     quick : True to include it in quick runs.
     proposed : True to include it in proposed studies.

@@ -63,8 +63,9 @@ class SearchSpace:
 
 FINEST_SCALE = 0.01  # smallest scale of a sliding joint's lengths
 _LENGTHS = {"deflection", "v_s", "v_t", "x_0"}  # searched numbers [rad, rad/s; m, m/s]
-_SPEEDS = {"v_s", "v_t"}  # of them, speeds at which friction falls or rises
-_SPEED_TO_SLOWEST = 2.0  # of rows; exp(-4) of a rise at rest is still 2 % there
+_SPEEDS = {"v_s", "v_t"}  # those of them that are speeds, over which friction falls or rises
+# The slowest row over the smallest speed that is searched: exp(-4) = 2 % of a rise is left there.
+_SLOWEST_TO_SPEED = 2.0
 MIN_COEFFICIENT = 1e-9  # [its unit] of a non-negative coefficient that scales others
 _WEAK_RISE = 1e-3  # relative rise of the cost that a number with hardly an effect causes
 _WEAK_VALUES = 5  # tried of such a number; searched velocities span three decades
@@ -72,16 +73,18 @@ _SAME_VALUE_SHARE = 1e-3  # share of the range
 
 
 def _limit_speed(name: str, limits: tuple[float, float], dq: Array) -> tuple[float, float]:
-    """Return the bounds of a searched number; a speed is no smaller than rows (N,) can show.
+    """Return the bounds of a searched number, without speeds too small for the rows to show.
 
-    At constant speeds no row is slow: friction that falls within 1 mrad/s would be multiplied by
-    round-off, and its static level is then 1e150 N.m.
+    A log at constant speeds has no slow row. If friction fell within 1 mrad/s, only round-off of
+    its fall would be left at the speeds `dq` (N,), and the fit would find a static level of
+    1e150 N.m.
     """
     lower, upper = limits
     if name not in _SPEEDS:
         return lower, upper
     slowest = float(np.min(np.abs(dq), initial=np.inf))
-    return float(np.clip(slowest / _SPEED_TO_SLOWEST, lower, upper / _SPEED_TO_SLOWEST)), upper
+    smallest_speed = np.clip(slowest / _SLOWEST_TO_SPEED, lower, upper / _SLOWEST_TO_SPEED)
+    return float(smallest_speed), upper
 
 
 class Separable:

@@ -241,7 +241,7 @@ class Simulator:
     def _evaluate_body(self, q: Array, dq: Array) -> tuple[Array, Array]:
         mass, bias = self.robot.dynamics(self.parameters, q, dq)
         if not _is_positive_definite(mass):
-            # Beside the centrifugal torques of a diverging simulation, mass is lost to rounding.
+            # As a simulation diverges, centrifugal torques grow until rounding swallows the mass.
             mass, _ = self.robot.dynamics(self.parameters, q, np.zeros_like(dq))
             if not _is_positive_definite(mass):
                 raise SimulationError(
