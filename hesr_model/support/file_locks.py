@@ -5,6 +5,7 @@ They hold across PID namespaces and containers that share a folder, unlike proce
 
 import os
 import sys
+from collections.abc import Callable
 
 if sys.platform == "win32":
     import msvcrt
@@ -37,6 +38,18 @@ def hold(handle: int) -> bool:
         return try_lock(handle)
     except OSError:
         return True
+
+
+def remove_locked(handle: int, remove: Callable[..., object], *arguments: object) -> None:
+    """Call `remove` for the name of a locked file, and close the file."""
+    if os.name == "posix":  # it is locked until it is removed
+        try:
+            remove(*arguments)
+        finally:
+            os.close(handle)
+    else:  # Windows removes no open file
+        os.close(handle)
+        remove(*arguments)
 
 
 def is_linked(handle: int) -> bool:

@@ -184,12 +184,7 @@ def _make_scratch(place: Path, prefix: str, cleanup: ExitStack) -> Path:
         scratch = place / f"{prefix}{token}-{_sign_token(token)}"
         scratch.mkdir(mode=0o700)
         handle = _lock_scratch(scratch)
-    if os.name == "posix":  # it is locked until it is removed; Windows removes no open file
-        cleanup.callback(os.close, handle)
-        cleanup.callback(_remove, scratch)
-    else:
-        cleanup.callback(_remove, scratch)
-        cleanup.callback(os.close, handle)
+    cleanup.callback(file_locks.remove_locked, handle, _remove, scratch)
     folder = scratch / FILES
     folder.mkdir()
     return folder
@@ -237,16 +232,13 @@ def _remove_unowned(folder: OpenFolder, name: str) -> None:
             folder.remove_folder(name)
             return
         handle = scratch.open_file(_LOCK, os.O_RDWR)
-    try:
+    with ExitStack() as cleanup:
+        cleanup.callback(os.close, handle)
         if not file_locks.try_lock(handle):
             return
         _log.info("removing %s, left behind by a killed process", folder.path / name)
-        if os.name == "posix":
-            remove_all(folder, name, last=_LOCK)
-    finally:
-        os.close(handle)
-    if os.name != "posix":  # open files cannot be removed
-        remove_all(folder, name, last=_LOCK)
+        cleanup.pop_all()
+        file_locks.remove_locked(handle, remove_all, folder, name, _LOCK)
 
 
 def _remove(path: Path) -> None:

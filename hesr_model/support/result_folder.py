@@ -143,12 +143,7 @@ def _lock_name(path: Path, parent: OpenFolder, name: str, cleanup: ExitStack) ->
         if is_current:
             break
         os.close(handle)
-    if os.name == "posix":
-        cleanup.callback(os.close, handle)
-        cleanup.callback(_remove_lock, parent, lock_name)
-    else:  # open files cannot be removed
-        cleanup.callback(_remove_lock, parent, lock_name)
-        cleanup.callback(os.close, handle)
+    cleanup.callback(file_locks.remove_locked, handle, _remove_lock, parent, lock_name)
 
 
 def _remove_lock(parent: OpenFolder, lock_name: str) -> None:
@@ -374,10 +369,13 @@ class _Carrier:
         return paths
 
     def _share(self, path: str) -> None:
+        """Share an entry, below the new folders of its parents, whose names may differ."""
         *parents, name = path.split("/")
         with ExitStack() as cleanup:
-            old, new = self._old, self._new
-            old_path = new_path = ""
+            old = self._old
+            new = self._new
+            old_path = ""
+            new_path = ""
             for parent in parents:
                 old_path += f"{parent}/"
                 new_name = self._provide_folder(old, new, parent, old_path)
