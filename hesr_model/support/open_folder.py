@@ -59,6 +59,7 @@ class OpenFolder:
             os.close(self._handle)
 
     def _at(self, name: str) -> str:
+        """Return what a call with `dir_fd` takes for an entry: its path if there is no handle."""
         return name if self._handle is not None else str(self.path / name)
 
     def names(self) -> list[str]:
