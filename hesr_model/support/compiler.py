@@ -89,21 +89,17 @@ def _run_compiler(
         compiled_file = folder / output.name
         relative_path = compiled_file.relative_to(source.parent).as_posix()
         compiler = str(files("ziglang"))
-        command = [str(files("ziglang") / "zig"), "cc", *flags, "-o", relative_path, source.name]
+        program = str(files("ziglang") / "zig")
+        if shutil.which(program) is None:  # the program that confines it would start
+            reason = os.strerror(errno.ENOENT)
+            raise ExportError(f"the C compiler cannot be run ({reason}).", code=MISSING_COMPILER)
+        command = [program, "cc", *flags, "-o", relative_path, source.name]
+        command += [flag.replace("{compiler}", compiler) for flag in last_flags]
         # The compiler's object cache breaks under concurrency, so each compilation has its own;
         # that of the slow C library is shared.
         shared_cache = cache_folder() / "zig"
         shared_cache.mkdir(parents=True, exist_ok=True)
-        # No variable of the user, such as CPATH, changes a binary.
-        environment = {name: os.environ[name] for name in _VARIABLES if name in os.environ} | {
-            "ZIG_LOCAL_CACHE_DIR": str(cache),
-            "ZIG_GLOBAL_CACHE_DIR": str(shared_cache),
-            "TMPDIR": str(cache),
-        }
-        command += [flag.replace("{compiler}", compiler) for flag in last_flags]
-        if shutil.which(command[0]) is None:  # the program that confines it would start
-            reason = os.strerror(errno.ENOENT)
-            raise ExportError(f"the C compiler cannot be run ({reason}).", code=MISSING_COMPILER)
+        environment = _select_environment(cache, shared_cache)
         if sys.platform == "linux":
             writable = [str(cache), str(shared_cache), str(source.parent.resolve())]
             command = _confine(command, writable, _list_read_paths(source.parent, command))
@@ -118,6 +114,15 @@ def _run_compiler(
         require_room(folder, find_temporary_folder(), cache_folder())
     lines = [line for line in result.stdout.splitlines() if "error" in line] or ["no message"]
     raise ExportError(f"{output.name}: the C compiler failed: {lines[0].strip()}.")
+
+
+def _select_environment(cache: Path, shared_cache: Path) -> dict[str, str]:
+    """Return the variables of the compiler: none of the user's, such as CPATH, changes a binary."""
+    environment = {name: os.environ[name] for name in _VARIABLES if name in os.environ}
+    environment["ZIG_LOCAL_CACHE_DIR"] = str(cache)
+    environment["ZIG_GLOBAL_CACHE_DIR"] = str(shared_cache)
+    environment["TMPDIR"] = str(cache)
+    return environment
 
 
 def _list_read_paths(folder: Path, command: Sequence[str]) -> list[str]:
