@@ -1,4 +1,4 @@
-"""What foreign code can do on this machine in spite of the sandbox, as a kind of check."""
+"""Check of the sandbox: tries on this machine what foreign code must not be able to do."""
 
 import logging
 from pathlib import Path
