@@ -246,6 +246,18 @@ def _join_series(joint_series: Sequence[_Series], field: str, t: NDArray[np.int6
     return np.column_stack(columns) if len(columns) == len(joint_series) else None
 
 
+def _require_plain_files(path: Path) -> None:
+    """Refuse links and pipes, which the reader would follow or wait for; raises LogError."""
+    for file in path.iterdir():
+        if file.is_symlink() or not (file.is_file() or file.is_dir()):
+            raise LogError(
+                f"{path}: {quote(file.name)} is a link, a pipe or a device; a bag has plain files.",
+                code="log.other_file",
+                where=path,
+                key=file.name,
+            )
+
+
 def _read_messages(path: Path, topics: Sequence[str]) -> Iterator[_Message]:
     if not (path.is_file() or path.is_dir()):  # a pipe may have no end
         raise LogError(f"{path}: no such log file.", code="file.missing", where=path)
@@ -256,15 +268,8 @@ def _read_messages(path: Path, topics: Sequence[str]) -> Iterator[_Message]:
             code="bag.folder",
             where=path,
         )
-    # A folder may hold links and pipes, which the reader would follow or wait for.
-    for file in path.iterdir() if path.is_dir() else ():
-        if file.is_symlink() or not (file.is_file() or file.is_dir()):
-            raise LogError(
-                f"{path}: {quote(file.name)} is a link, a pipe or a device; a bag has plain files.",
-                code="log.other_file",
-                where=path,
-                key=file.name,
-            )
+    if path.is_dir():
+        _require_plain_files(path)
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore

@@ -27,15 +27,6 @@ def read_hdf5_arrays(path: Path, kind: str, *, transposed: bool = False) -> dict
             where=path,
         ) from error
 
-    def refuse(name: str, kind: str, other_file: str) -> LogError:
-        return LogError(
-            f"{path}: {quote(name)} is {kind} of {quote(other_file)}, which is not opened; save "
-            "all numbers in one file, as data sets without such references.",
-            code="log.other_file",
-            where=path,
-            key=name,
-        )
-
     external_links: dict[str, str] = {}  # h5py does not let its visitor raise
 
     def note_external_link(name: str, link: Any) -> None:
@@ -48,13 +39,7 @@ def read_hdf5_arrays(path: Path, kind: str, *, transposed: bool = False) -> dict
     def visit(name: str, dataset: Any) -> None:
         if not isinstance(dataset, h5py.Dataset):
             return
-        # Reading would open any file of the user, or wait for a pipe. Even the size of a virtual
-        # data set depends on its sources.
-        if dataset.is_virtual:
-            sources = [source.file_name for source in dataset.virtual_sources()]
-            raise refuse(name, "a virtual data set", ", ".join(sorted(set(sources))))
-        if dataset.external:
-            raise refuse(name, "external storage", dataset.external[0][0])
+        _require_own_data(path, name, dataset)
         # Characters are numbers; '#refs#' holds targets of references in struct arrays.
         if name.startswith("#"):
             return
@@ -75,10 +60,34 @@ def read_hdf5_arrays(path: Path, kind: str, *, transposed: bool = False) -> dict
 
     with readable(path, f"a {kind}"), h5py.File(path, "r") as file:
         file.visititems_links(note_external_link)
-        for name, other_file in external_links.items():
-            raise refuse(name, "an external link to an object", other_file)
+        if external_links:
+            name, other_file = next(iter(external_links.items()))
+            raise _build_reference_error(path, name, "an external link to an object", other_file)
         file.visititems(visit)
     return arrays
+
+
+def _require_own_data(path: Path, name: str, dataset: Any) -> None:
+    """Refuse data of other files; raises LogError.
+
+    Reading would open any file of the user, or wait for a pipe. Even the size of a virtual data set
+    depends on its sources.
+    """
+    if dataset.is_virtual:
+        sources = {source.file_name for source in dataset.virtual_sources()}
+        raise _build_reference_error(path, name, "a virtual data set", ", ".join(sorted(sources)))
+    if dataset.external:
+        raise _build_reference_error(path, name, "external storage", dataset.external[0][0])
+
+
+def _build_reference_error(path: Path, name: str, reference: str, other_file: str) -> LogError:
+    return LogError(
+        f"{path}: {quote(name)} is {reference} of {quote(other_file)}, which is not opened; save "
+        "all numbers in one file, as data sets without such references.",
+        code="log.other_file",
+        where=path,
+        key=name,
+    )
 
 
 def _read(path: Path, log_format: LogFormat) -> LogTable:
