@@ -100,7 +100,10 @@ class Sandbox(Child):
 
     def _extend_deadline(self) -> None:
         """Give `seconds` after each new row."""
-        if self._known_rows is not None and self._known_rows != (rows := self.progress()[0]):
+        if self._known_rows is None:
+            return
+        rows = self.progress()[0]
+        if rows != self._known_rows:
             self._known_rows = rows
             self._answer_deadline = time.monotonic() + self.seconds
 
