@@ -380,8 +380,8 @@ def require_known(accepted: Sequence[str], checks: Sequence[str]) -> None:
 
 _MIN_REST_SHARE = 0.02  # share of rests that shows stiction
 _MIN_REVERSALS = 4
-_SLOW_SPEED_SHARE = 0.1
-_MIN_SLOW_ROWS_SHARE = 0.05  # share of the peak speed, share of slow rows needed
+_SLOW_SPEED_SHARE = 0.1  # of the peak speed, below which a row is slow
+_MIN_SLOW_ROWS_SHARE = 0.05  # share of slow rows that is needed
 _MIN_GRAVITY_TO_FRICTION = 0.5  # gravity over friction that shows load-dependent friction
 
 
@@ -441,7 +441,8 @@ def check_body(
     ----------
     body : identified from logs.
     robot : its robot.
-    motions : logs or motions, whose speeds tell where friction must brake; at rest without them.
+    motions : logs or motions; friction must brake at their usual speeds, or at rest if there are
+        none.
     """
     return state(_doubt_body(body, robot, _find_usual_speeds(motions, robot)))
 

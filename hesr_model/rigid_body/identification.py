@@ -440,8 +440,8 @@ def _make_consistent(
 def compute_scale(robot: Robot, base: tuple[int, ...], friction: Mask, peak_speeds: Array) -> Array:
     """Return the size of each column [N.m]; that of friction columns is 1.
 
-    The column of viscous friction has the `peak_speeds` (n,) [rad/s] of slow joints instead, whose
-    friction would else count as undetermined, by the unit of their speed alone.
+    The column of viscous friction has the size of the peak speed (n,) [rad/s] if a joint is slow.
+    Otherwise its friction would count as undetermined, only because of the unit of speed.
     """
     body_scale = np.sqrt(np.mean(sample_regressor(robot)[:, list(base)] ** 2, axis=0))
     sizes = np.ones(friction.shape)
