@@ -199,6 +199,7 @@ def check_velocity(
     """
     if part.dq is None:
         return
+    slides = slides or (False,) * len(description.joints)
     rows = part.is_measured
     v = part.v[rows]
     dq = part.dq[rows]
@@ -224,8 +225,7 @@ def check_velocity(
         )
         if mismatch.outcome == "lost":
             yield from _doubt_sign(description, j, matches, v, dq)
-            kinds = slides or (False,) * len(description.joints)
-            yield from _doubt_scale(description, j, matches, part, v, dq, kinds)
+            yield from _doubt_scale(description, j, matches, part, v, dq, slides)
             yield from _doubt_lag(joint, j, match, part, v, dq)
         elif np.ptp(dq[:, j]) <= 1e-9 * np.max(np.abs(v[:, j])):
             yield Hypothesis(
