@@ -130,7 +130,7 @@ class LogTable:
         values = self.numbers((seconds, fraction), missing=missing)
         if not is_seconds_and_fraction(values, unit):
             raise LogError(
-                f"{self.path}: columns '{seconds}' and '{fraction}' are no whole seconds and the "
+                f"{self.path}: columns '{seconds}' and '{fraction}' are not whole seconds and the "
                 f"{unit} since; name one of them as 'log.columns.t' of the robot file.",
                 code="log.seconds",
                 where=self.path,
