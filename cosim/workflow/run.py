@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 from cosim.workflow.answer import Answer, Written, find_job, finding_lines, shorten_lines
-from cosim.workflow.arguments import list_names, require_number
+from cosim.workflow.arguments import list_names, list_paths, require_number
+from hesr_model.errors import ArgumentError
 from hesr_model.support import plugins
 from hesr_model.support.files import PathArg, to_path
 from hesr_model.support.progress import Interrupted, Stages, silent
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from cosim.report.tables.table import ResultTable
     from cosim.study.results import Seeds
     from cosim.study.run import Outcome
-    from cosim.workflow.arguments import Names
+    from cosim.workflow.arguments import Names, Paths
     from hesr_model.findings import Finding
 
 _REUSED = {
@@ -194,7 +195,11 @@ class RunResult(Answer):
 
 @overload
 def run(  # type: ignore[overload-overlap]  # a name of the shipped study, not any text
-    study: Literal["paper"], *, output: PathArg | None = None, progress: Stages = silent
+    study: Literal["paper"],
+    *,
+    output: PathArg | None = None,
+    measured: Paths = (),
+    progress: Stages = silent,
 ) -> Answer: ...
 
 
@@ -232,6 +237,7 @@ def run(
     quick: bool = False,
     seeds: int | None = None,
     accept: Names = (),
+    measured: Paths = (),
     progress: Stages = silent,
 ) -> RunResult | Seeds | Answer:
     """Run a whole study: identify, fit, build FMUs and score them.
@@ -261,6 +267,9 @@ def run(
         friction instead, without FMUs; writes seeds.json.
     accept : str or sequence of str, optional
         Names of checks whose errors only warn.
+    measured : path or sequence of path, optional
+        Study of claims only: studies of measured robots (.toml) on which the
+        claims are judged as well.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 
@@ -283,6 +292,7 @@ def run(
         $ hesr run --quick --seeds 20
         $ hesr run ur10
         $ hesr run paper
+        $ hesr run paper --measured ur10e/sines.toml
 
     >>> import hesr
     >>> result = hesr.run("my_arm/study.toml", quick=True)
@@ -296,6 +306,7 @@ def run(
 
     platforms = None if platform is None else list_names("platform", platform)
     accepted = list_names("accept", accept)
+    measured_studies = list_paths("measured", measured)
     require_number("seeds", seeds)
     study_path = _find_study(study)
     job = find_job(study_path, "run")
@@ -308,7 +319,10 @@ def run(
             seeds=seeds,
             accept=accepted,
             platform=platforms is not None,
+            measured=measured_studies,
         )
+    if measured_studies:
+        raise ArgumentError("'measured' is for a study of claims; run each study by itself.")
     results_folder = to_path(output or Path("results") / Study.read(study_path).name, "'output'")
     if seeds is not None:
         return _run_draws(study_path, seeds, results_folder, quick=quick, progress=progress)

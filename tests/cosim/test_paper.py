@@ -2,10 +2,12 @@
 
 import csv
 import inspect
+import itertools
 import json
 import math
 import re
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +18,7 @@ from joint_data import law as law_of
 from small_study import hesr_here
 
 from hesr.extras.paper import measures
-from hesr.extras.paper.evidence import Number, PaperStudy
+from hesr.extras.paper.evidence import Number, PaperStudy, select_moving_records
 from hesr.extras.paper.report import (
     FAILS,
     HOLDS,
@@ -148,6 +150,29 @@ def test_options_of_studies_of_laws_are_refused(capsys, monkeypatch, tmp_path: P
     assert not (tmp_path / "out").exists()
 
 
+def test_measured_joints_belong_to_the_study_of_the_paper(capsys, monkeypatch, tmp_path) -> None:
+    hesr = hesr_here(capsys, monkeypatch)
+    study = models_folder() / "cylinder" / "study.toml"
+    found = hesr("run", "fretting", "--measured", study, "-o", tmp_path / "out")
+    assert found.code == 2
+    assert "--measured is for a study of claims" in found.err
+    found = hesr("run", "paper", "--measured", study, "-o", tmp_path / "out")
+    assert found.code == 2
+    assert "two studies of the name 'cylinder'" in found.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_laws_are_trained_on_the_motions_in_which_a_joint_moves() -> None:
+    true = law_of("stribeck", {}, F_c=10.0, F_s=12.0, v_s=0.06, sigma_2=16.0, tau_0=0.0)
+    moving = [along(true, path(k, rests=False)) for k in range(2)]
+    still = [replace(record, q=np.full_like(record.q, 0.3)) for record in moving]
+    records = [[moving[0], still[1]], [still[0], moving[1]], [still[0], still[1]]]
+    kept = select_moving_records(records)
+    assert [len(joint_records) for joint_records in kept] == [1, 1, 2]
+    assert kept[0][0] is moving[0]
+    assert kept[1][0] is moving[1]
+
+
 def rows_of(name: str) -> list[list[str]]:
     with (TABLES / f"{name}.csv").open(encoding="utf-8", newline="") as file:
         return list(csv.reader(file))
@@ -208,6 +233,21 @@ def test_the_first_lines_state_what_explains_the_gain() -> None:
     bounded = errors["LuGre, static first, F_s >= F_c"]
     gains = [100.0 * (1.0 - float(own[c]) / float(bounded[c])) for c in head[1::2]]
     assert f"with F_s >= F_c it is {min(gains):.0f} to {max(gains):.0f} %" in first
+    head, *rows = rows_of("prediction_on_measured_joints")
+    measured = {row[0]: dict(zip(head, row, strict=True)) for row in rows}
+    own = measured["ParFam-H (paper)"]
+    opening = " ".join(lines[:12])
+    for law, rival in (
+        ("RBFNN-H", "RBFNN-H"),
+        ("LuGre", "LuGre fitted at once"),
+        ("LuGre, static first", "LuGre fitted static-first"),
+    ):
+        ratios = [
+            float(own[c]) / float(measured[law][c])
+            for c, note in itertools.pairwise(head[1:])
+            if note.endswith("note") and "short" not in measured[law][note]
+        ]
+        assert f"{min(ratios):.2f} to {max(ratios):.2f} times that of {rival}" in opening
     verdicts = [row[-1] for row in rows_of("claims")[1:]]
     counts = [verdicts.count(one) for one in (HOLDS, PARTLY, FAILS, OPEN)]
     assert sum(counts) == 37

@@ -20,10 +20,12 @@ from cosim.study.study import Study, Twin
 from fmu_src.arm.truth import true_friction
 from fmu_src.friction.built_in import model_file
 from fmu_src.friction.friction_fmu import export_bare
+from hesr_model.errors import ArgumentError
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.inference.comparison import law_errors
+from hesr_model.logs.rest import find_travelling
 from hesr_model.logs.signals import near_reversals
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import FrictionRecord, find_resting_speed, friction_records
@@ -61,6 +63,22 @@ class PaperStudy(Study):
     measured: Mapping[str, RelativePath] = {}  # studies of measured robots by name
     twin: Twin
     tracking: Tracking
+
+    def with_measured(self, studies: Sequence[Path]) -> "PaperStudy":
+        """Return the study with further measured robots, by the names of their studies.
+
+        Raises
+        ------
+        ArgumentError
+            If two measured studies have the same name.
+        """
+        measured = dict(self.measured)
+        for path in studies:
+            name = Study.read(path).name
+            if name in measured:
+                raise ArgumentError(f"'measured' has two studies of the name '{name}'; rename one.")
+            measured[name] = path
+        return self.model_copy(update={"measured": measured})
 
 
 TWIN = "twin"
@@ -278,8 +296,24 @@ def _evaluate_measured(job: Job, study: PaperStudy, study_path: Path) -> Case:
         for name, log in logs.items()
     }
     tests = {_MAIN_TEST: select_records(measured_job.tested_on, records)}
-    training_records = select_records(measured_study.logs.training, records)
+    training_records = select_moving_records(select_records(measured_study.logs.training, records))
     return _fit_case(job, study, measured_study.name, training_records, tests, job.laws)
+
+
+def select_moving_records(records: Records) -> list[list[FrictionRecord]]:
+    """Return records [joint][part] without the parts in which the joint stands still.
+
+    At rest friction balances the load: motions of one joint at a time say nothing of the others.
+    """
+    moving_records: list[list[FrictionRecord]] = [[] for _ in records]
+    for part_records in zip(*records, strict=True):
+        travelling = find_travelling([np.stack([record.q for record in part_records], axis=1)])
+        for j in np.flatnonzero(travelling):
+            moving_records[j].append(part_records[j])
+    return [
+        moving or list(joint_records)
+        for moving, joint_records in zip(moving_records, records, strict=True)
+    ]
 
 
 def _fit_case(

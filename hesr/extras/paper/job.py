@@ -1,5 +1,6 @@
 """Job of `hesr run paper`."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,17 @@ from hesr_model.support.typed_files import to_json, write_json
 
 
 def _run(
-    path: Path, *, output: Path | None = None, progress: Stages = silent, **options: Any
+    path: Path,
+    *,
+    output: Path | None = None,
+    measured: Sequence[Path] = (),
+    progress: Stages = silent,
+    **options: Any,
 ) -> Written:
-    """Judge all claims and write results, page and tables, by default into ``results/NAME``."""
+    """Judge all claims and write results, page and tables, by default into ``results/NAME``.
+
+    They are also judged on the joints of `measured` studies.
+    """
     from hesr.extras.paper.evidence import gather_evidence
     from hesr.extras.paper.report import (
         FILE,
@@ -29,9 +38,11 @@ def _run(
     option_names = [name for name, value in options.items() if value]
     if option_names:
         raise ArgumentError(f"'{option_names[0]}' is for a study of laws; omit it for {path}.")
-    study = PaperStudy.read(path)
+    study = PaperStudy.read(path).with_measured(measured)
     folder = output or Path("results") / study.name
     command = f"hesr run {path.stem if path.is_absolute() else path.as_posix()}"
+    if measured:
+        command += f" --measured {','.join(file.as_posix() for file in measured)}"
     with folder_written_whole(folder) as temporary, parallel.one_pool("hesr_model.fitting.fit"):
         result = PaperResult.from_evidence(
             gather_evidence(study, path, temporary / "fmus", progress), command

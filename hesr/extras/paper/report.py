@@ -46,6 +46,7 @@ HOLDS = "holds"
 PARTLY = "partly"
 FAILS = "fails"
 OPEN = "not testable"
+_REVERSAL_CLAIM = 6  # the ablation of the state h
 _TEMPLATES = code_templates(Path(__file__).parent / "templates")
 _TITLES = {
     "parfam_h_paper": "ParFam-H (paper)",
@@ -344,7 +345,7 @@ def write_page(folder: Path, output: Path | None = None, **_: Any) -> None:
 
 
 def compose_opening(result: PaperResult) -> list[str]:
-    """Return what explains the claimed gain, and the numbers of verdicts."""
+    """Return what explains the claimed gain, the numbers of verdicts, and what memory brings."""
     ratios = result.ratios[LUGRE]
     text = _TEMPLATES.get_template("opening.j2").render(
         static=ratios["lugre_static_first"],
@@ -352,4 +353,50 @@ def compose_opening(result: PaperResult) -> list[str]:
         fair=ratios["lugre"],
         verdicts=[judged.verdict for judged in result.claims],
     )
-    return [line for line in text.splitlines() if line]
+    lines = [line for line in text.splitlines() if line]
+    return [*lines, " ".join(_describe_gains(result))]
+
+
+def _describe_gains(result: PaperResult) -> Iterator[str]:
+    """Yield what the state h brings against velocity alone, and against laws with memory."""
+    [reversals] = [judged for judged in result.claims if judged.claim.number == _REVERSAL_CLAIM]
+    yield (
+        "Within 0.1 s of reversals ParFam-H (paper) is compared with ParFam-V, the same law "
+        "without h."
+    )
+    texts = []
+    for truth, cases in {TWIN: "fits to the twin", MEASURED: "measured joints"}.items():
+        if truth in reversals.truths:
+            judgement = reversals.truths[truth]
+            decided = [number for number in judgement.values.values() if not number.is_open]
+            count = len(judgement.holding)
+            text = f"on {count} of {len(decided)} {cases}"
+            if count:
+                gains = [
+                    100.0 * (1.0 - judgement.values[label].value) for label in judgement.holding
+                ]
+                text += f" by {_format_range(gains, 0)} %"
+            texts.append(text)
+    yield f"Its error is lower {' and '.join(texts)}."
+    if MEASURED in result.ratios:
+        rivals = {
+            "rbfnn_h": "RBFNN-H",
+            "lugre": "LuGre fitted at once",
+            "lugre_static_first": "LuGre fitted static-first",
+        }
+        ranges = []
+        for law_name, rival in rivals.items():
+            numbers = result.ratios[MEASURED][law_name].values()
+            values = [number.value for number in numbers if not number.is_open]
+            if values:
+                ranges.append(f"{_format_range(values, 2)} times that of {rival}")
+        if ranges:
+            yield f"On measured joints with enough rows its error is {', '.join(ranges)}."
+    table_1 = [number.value for number in result.ratios[TABLE_1]["lugre"].values()]
+    yield f"Where Table I is the truth it is {_format_range(table_1, 2)} times that of LuGre."
+
+
+def _format_range(values: Sequence[float], digits: int) -> str:
+    """Return the lowest and the highest of values."""
+    lowest, highest = (f"{end(values):.{digits}f}" for end in (min, max))
+    return lowest if lowest == highest else f"{lowest} to {highest}"
