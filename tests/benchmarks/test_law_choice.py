@@ -28,17 +28,19 @@ from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import motion_records, transform_all_records
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.arrays import Array
+from hesr_model.support.files import models_folder
 
 REAL = Path(__file__).parents[1] / "real"
 SHARED = Path(__file__).parents[2].parent / "shared"
+MODELS = models_folder()
 ROBOTS = {
-    "tx40": (REAL / "tx40.toml", "data/tx40/*.csv"),
-    "panda": (REAL / "panda.toml", "data/panda/*.csv"),
-    "tiago": (REAL / "tiago.toml", "data/tiago_arm/*.csv"),
-    "kr300": (SHARED / "examples/kr300/robot.toml", "examples/kr300/*.csv"),
-    "ur10": (SHARED / "examples/ur10/robot.toml", "examples/ur10/*.csv"),
-    "fretting": (SHARED / "examples/fretting/robot.toml", "examples/fretting/*.csv"),
-    "cylinder": (SHARED / "examples/cylinder/robot.toml", "examples/cylinder/*.csv"),
+    "tx40": (REAL / "tx40.toml", SHARED / "data" / "tx40"),
+    "panda": (REAL / "panda.toml", SHARED / "data" / "panda"),
+    "tiago": (REAL / "tiago.toml", SHARED / "data" / "tiago_arm"),
+    "kr300": (REAL / "kr300" / "robot.toml", REAL / "kr300"),
+    "ur10": (MODELS / "ur10" / "robot.toml", MODELS / "ur10"),
+    "fretting": (MODELS / "fretting" / "robot.toml", MODELS / "fretting"),
+    "cylinder": (MODELS / "cylinder" / "robot.toml", MODELS / "cylinder"),
 }
 LAWS = (
     *select_laws("baseline"),
@@ -150,10 +152,10 @@ def score(
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_chosen_laws_of_measured_robots(name: str, tmp_path: Path) -> None:
-    robot_file, pattern = ROBOTS[name]
-    files = sorted(SHARED.glob(pattern))
+    robot_file, log_folder = ROBOTS[name]
+    files = sorted(log_folder.glob("*.csv"))
     if not files:
-        pytest.skip(f"the measured logs {pattern} are not next to the repository")
+        pytest.skip(f"the measured logs in {log_folder} are not next to the repository")
     robot = Robot(RobotDescription.read(robot_file))
     motions = [
         replace(motion, name=file.stem)
