@@ -36,6 +36,7 @@ MAX_XML_BYTES = 64 << 20
 MAX_XML_NODES = 2_000_000
 """Largest number of elements and attributes; each takes about 200 bytes of memory."""
 
+UNCHANGED = "unchanged since its export."
 SCHEMA_TIMEOUT = 60.0
 
 _UTF8 = re.compile("utf-?8", re.IGNORECASE)
@@ -149,7 +150,7 @@ class Contents:
 
 
 def compare_with_record(contents: Contents) -> Iterator[Problem]:
-    """Yield how an FMU of HESR differs from what was exported."""
+    """Yield how an FMU or SSP of HESR differs from what was exported."""
     if record.MEMBER not in contents.files:
         return
     hashes = {}

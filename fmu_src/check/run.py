@@ -31,7 +31,7 @@ class Report:
     """Findings of all checks in one FMU, and reasons for validators that were not run.
 
     `platforms` are those that have a binary; for an SSP, those that all its FMUs share. None if
-    the archive has no FMU. `record` says that an FMU of HESR is as it was exported.
+    the archive has no FMU. `record` says that an FMU or SSP of HESR is as it was exported.
     """
 
     path: Path
@@ -127,7 +127,7 @@ class _CheckRun:
         changes = list(archive.compare_with_record(contents))
         self._add(changes)
         if MEMBER in contents.files and not changes:
-            self.record = "unchanged since its export."
+            self.record = archive.UNCHANGED
         self._add(sources.machine_paths(contents))
         self.skipped += sources.find_skipped_libraries(contents)
         root, texts = _model(contents)

@@ -9,11 +9,14 @@ the engines ignore:
     <ssc:Annotation type="hesr.coupling"><hesr:Coupling order="gauss_seidel" /></ssc:Annotation>
 """
 
+import zipfile
 from importlib.metadata import version as installed
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 from cosim.systems.system import ComponentSpec, SystemSpec
+from fmu_src.export import record
 from fmu_src.export.package import zip_members
 from fmu_src.run.master import Element
 from hesr.extras.ssp.contents import (
@@ -76,9 +79,20 @@ def write_ssp(contents: SystemContents, path: Path, *, version: Version = "1.0")
             members[resource(name, ".ssv")] = to_ssv(contents, name, version)
         members[resource(name, ".fmu")] = component.fmu.read_bytes()
     members |= result_files(contents)
+    members[record.MEMBER] = record.write_record(members, _describe_origin(contents))
     with written_whole(path) as temporary:
         zip_members(temporary, members, contents.created)
     return path
+
+
+def _describe_origin(contents: SystemContents) -> dict[str, Any]:
+    """Return what the record of an SSP says of its origin: the FMUs, and their own records."""
+    records = {}
+    for component in contents.system.components:
+        with zipfile.ZipFile(component.fmu) as archive:
+            has_record = record.MEMBER in archive.namelist()
+        records[resource(component.name, ".fmu")] = record.MEMBER if has_record else None
+    return {"hesr": installed("hesr"), "records": records}
 
 
 def resource(component: str, suffix: str) -> str:

@@ -10,6 +10,7 @@ from fmu_src.check import archive
 from fmu_src.check.archive import Contents
 from fmu_src.check.rules import Problem, findings
 from fmu_src.check.run import Report, check
+from fmu_src.export.record import MEMBER
 from fmu_src.run.variables import Variables, model_description
 from hesr.extras.ssp.contents import SSD
 from hesr.extras.ssp.ssp_reader import UnsupportedError, open_ssp
@@ -28,7 +29,10 @@ def check_ssp(path: Path, *, vdmcheck: Path | None = None) -> Report:
         files.mkdir()
         folder.mkdir()
         contents = archive.unpack(path, files)
-        ssp_findings = findings([*contents.problems, *_check_xml_members(contents, folder)])
+        changes = list(archive.compare_with_record(contents))
+        ssp_findings = findings(
+            [*contents.problems, *changes, *_check_xml_members(contents, folder)]
+        )
         if not any(finding.severity == "error" for finding in ssp_findings):
             ssp_findings += findings(_check_structure(path))
         platforms: list[tuple[str, ...]] = []  # of each FMU
@@ -46,6 +50,7 @@ def check_ssp(path: Path, *, vdmcheck: Path | None = None) -> Report:
         problems=tuple(sort_by_severity(ssp_findings)),
         skipped=tuple(skipped),
         platforms=_find_shared_platforms(platforms) if platforms else None,
+        record=archive.UNCHANGED if MEMBER in contents.files and not changes else "",
     )
 
 

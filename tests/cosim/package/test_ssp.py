@@ -1,5 +1,8 @@
 """Systems as SSP: valid, complete, and run by FMPy with the results of FMPy's own coupling."""
 
+import hashlib
+import io
+import json
 import re
 import zipfile
 from collections.abc import Callable
@@ -17,6 +20,7 @@ from small_study import Hesr
 
 from cosim.systems.simulation import System
 from cosim.systems.system import SystemSpec, open_system
+from fmu_src.export.record import MEMBER
 from fmu_src.friction.friction_fmu import export_bare
 from hesr.extras.ssp.contents import SystemContents, Version, read_contents
 from hesr.extras.ssp.ssp import write_ssp
@@ -134,6 +138,30 @@ def test_a_check_lists_the_platforms_of_all_fmus(
     spec = opened.system.model_copy(update={"components": components})
     path = write_ssp(read_contents(spec, opened.path), tmp_path / "open.ssp")
     assert check_ssp(path).coverage == "none that all its FMUs share."
+
+
+def test_the_record_of_a_system_refers_to_those_of_its_fmus(
+    opened: SystemContents, tmp_path: Path
+) -> None:
+    path = write_ssp(opened, tmp_path / "open.ssp")
+    content = members(path)
+    record = json.loads(content[MEMBER])
+    assert set(record["records"]) == {name for name in content if name.endswith(".fmu")}
+    for name, member in record["records"].items():
+        fmu = zipfile.ZipFile(io.BytesIO(content[name]))
+        assert (member in fmu.namelist()) if member else (MEMBER not in fmu.namelist())
+        assert record["sha256"][name] == hashlib.sha256(content[name]).hexdigest()
+    assert record["records"]["resources/friction.fmu"] == MEMBER
+    assert check_ssp(path).record
+
+    content["resources/more.txt"] = b"more"
+    changed_path = tmp_path / "changed.ssp"
+    with zipfile.ZipFile(changed_path, "w") as archive:
+        for name, data in content.items():
+            archive.writestr(name, data)
+    report = check_ssp(changed_path)
+    assert not report.record
+    assert "archive-changed" in {finding.check for finding in report.problems}
 
 
 def test_units_are_those_of_the_fmus(closed: SystemContents, tmp_path: Path) -> None:
