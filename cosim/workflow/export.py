@@ -277,7 +277,7 @@ _TOOLS = {
     ".ssp": "SSP, for OMSimulator, easySSP and other importers",
     ".ssv": "parameter set of SSP",
     ".mo": "Modelica package, for OpenModelica and Dymola",
-    ".xml": "MJCF with actuators, for MuJoCo",
+    ".xml": "XML, for MuJoCo",
     ".h": "C header without dependencies",
-    ".py": "Python module, batched and differentiable",
+    ".py": "Python module",
 }

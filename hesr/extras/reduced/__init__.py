@@ -1,0 +1,1 @@
+"""Three numbers per joint for simulators: Coulomb friction, damping and armature."""

@@ -1,0 +1,188 @@
+"""Files with the numbers of joints: MJCF, URDF and Isaac Lab, with their price as comments."""
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+from hesr.extras.reduced.reduction import LogRecords, ReducedJoint, Weight, reduce_model
+from hesr_model.errors import ExportError
+from hesr_model.friction.log_friction import LogSource, read_log
+from hesr_model.friction.model import FrictionModel
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.robots.robot import Robot
+from hesr_model.support.files import written_whole
+from hesr_model.units import unit_of_joint
+
+_DIGITS = 6
+
+
+def export_reduced(
+    model: FrictionModel,
+    path: Path,
+    compose: Callable[[Sequence[ReducedJoint], Sequence[str]], str],
+    *,
+    log: Sequence[LogSource],
+    test_log: Sequence[LogSource] = (),
+    robot: Robot,
+    rigid_body: RigidBody | None = None,
+    weight: Weight = "rows",
+) -> list[str]:
+    """Write the numbers of all joints by a format; return their price in words.
+
+    Parameters
+    ----------
+    model : laws of the joints.
+    path : file to write.
+    compose : the format: joints and comments in, text out.
+    log : logs at whose speeds and loads the numbers hold, as a rule those of the fit.
+    test_log : logs that decide on the price; by default `log`.
+    robot : robot of the logs.
+    rigid_body : body that separates friction; by default that of the fit.
+    weight : what the projection weighs.
+
+    Raises
+    ------
+    ExportError
+        If a joint has no friction that opposes motion.
+    LogError, SimulationError
+        If a log cannot be read, or is of another robot.
+    """
+    training = _read_records(model, log, robot, rigid_body)
+    tests = _read_records(model, test_log, robot, rigid_body) if test_log else training
+    body = rigid_body or model.rigid_body
+    joints = reduce_model(model, training, tests, body, weight)
+    for joint in joints:
+        if joint.frictionloss == 0.0 and joint.damping == 0.0:
+            raise ExportError(
+                f"joint '{joint.name}': its law does not oppose motion in these logs, so that no "
+                "Coulomb friction and damping stand for it."
+            )
+    comments = [
+        f"Friction of '{model.robot}' by the law '{model.law}', reduced to numbers per joint.",
+        "They hold at the speeds and loads below, and replace no other term of the law.",
+        *_describe_price(joints, is_held_back=bool(test_log)),
+    ]
+    with written_whole(path) as temporary:
+        temporary.write_text(compose(joints, comments), encoding="utf-8")
+    return comments[2:]
+
+
+def _read_records(
+    model: FrictionModel,
+    logs: Sequence[LogSource],
+    robot: Robot,
+    rigid_body: RigidBody | None,
+) -> LogRecords:
+    return [
+        model.records(part, rigid_body=rigid_body, robot=robot)
+        for source in logs
+        for part in read_log(source, robot).parts()
+    ]
+
+
+def _describe_price(joints: Sequence[ReducedJoint], *, is_held_back: bool) -> Iterator[str]:
+    """Yield the price of each joint as one line."""
+    rows = "logs that were not used for them" if is_held_back else "the logs of the projection"
+    yield f"Price on {rows}: RMSE of the law and of the numbers, variance lost, energy kept:"
+    for joint in joints:
+        price = joint.price
+        force, speed = (
+            unit_of_joint(unit, is_prismatic=joint.sliding) for unit in ("N.m", "rad/s")
+        )
+        low_speed, high_speed = (f"{value:.3g}" for value in price.speeds)
+        low_load, high_load = (f"{value:.3g}" for value in price.loads)
+        yield (
+            f"{joint.name}: {price.law_rmse:.4g} and {price.rmse:.4g} {force}, "
+            f"{100.0 * price.lost_variance:.2g} %, {100.0 * price.energy:.4g} %; speeds of "
+            f"{low_speed} to {high_speed} {speed}, loads of {low_load} to {high_load} {force}."
+        )
+
+
+def compose_mjcf(joints: Sequence[ReducedJoint], comments: Sequence[str]) -> str:
+    """Return defaults of MuJoCo, one class per joint, for `<include>` in a model.
+
+    MuJoCo's Coulomb friction is a soft constraint: below a speed that its `solreffriction` and the
+    inertia decide, the joint creeps.
+    """
+    root = ET.Element("mujoco")
+    defaults = ET.SubElement(root, "default")
+    for joint in joints:
+        attributes = {
+            "damping": _format(joint.damping),
+            "frictionloss": _format(joint.frictionloss),
+        }
+        if joint.armature is not None:
+            attributes["armature"] = _format(joint.armature)
+        default_class = ET.SubElement(defaults, "default", {"class": joint.name})
+        ET.SubElement(default_class, "joint", attributes)
+    usage = (
+        "Include this file, and give each joint the class of its name. MuJoCo's Coulomb friction "
+        "is soft: below a low speed the joint creeps; a smaller solreffriction makes it stiffer."
+    )
+    return _compose_xml(root, [*comments, usage, *_list_hidden_rotors(joints)])
+
+
+def compose_urdf(joints: Sequence[ReducedJoint], comments: Sequence[str]) -> str:
+    """Return `<dynamics>` elements for the joints of a URDF, or of SDF."""
+    root = ET.Element("robot", name="friction")
+    for joint in joints:
+        kind = "prismatic" if joint.sliding else "revolute"
+        joint_node = ET.SubElement(root, "joint", name=joint.name, type=kind)
+        ET.SubElement(
+            joint_node,
+            "dynamics",
+            damping=_format(joint.damping),
+            friction=_format(joint.frictionloss),
+        )
+    usage = "Copy each <dynamics> into the joint of its name."
+    return _compose_xml(root, [*comments, usage])
+
+
+def compose_isaaclab(joints: Sequence[ReducedJoint], comments: Sequence[str]) -> str:
+    """Return an actuator configuration of Isaac Lab (Isaac Sim 5 and newer), as Python."""
+    values_by_field = {
+        "friction": {joint.name: joint.frictionloss for joint in joints},
+        "dynamic_friction": {joint.name: joint.frictionloss for joint in joints},
+        "viscous_friction": {joint.name: joint.damping for joint in joints},
+        "armature": {joint.name: joint.armature for joint in joints if joint.armature is not None},
+    }
+    lines = [f"# {comment}" for comment in [*comments, *_list_hidden_rotors(joints)]]
+    lines += [
+        "# Isaac Sim 5 and newer, where friction is an effort. Stiffness and damping are those of",
+        "# your controller.",
+        "from isaaclab.actuators import ImplicitActuatorCfg",
+        "",
+        "FRICTION = ImplicitActuatorCfg(",
+        f"    joint_names_expr={json.dumps([joint.name for joint in joints])},",
+        "    stiffness=None,",
+        "    damping=None,",
+    ]
+    for field, values in values_by_field.items():
+        if values:
+            lines.append(f"    {field}={{")
+            lines += [
+                f"        {json.dumps(name)}: {_format(value)}," for name, value in values.items()
+            ]
+            lines.append("    },")
+    return "\n".join([*lines, ")", ""])
+
+
+def _list_hidden_rotors(joints: Sequence[ReducedJoint]) -> Iterator[str]:
+    """Yield which joints have no inertia of the rotor of their own."""
+    hidden = [joint.name for joint in joints if joint.armature is None]
+    if hidden:
+        yield f"Armature is not visible beside the inertia of the links: {', '.join(hidden)}."
+
+
+def _compose_xml(root: ET.Element, comments: Sequence[str]) -> str:
+    """Return a document whose comments stand in front of the first child."""
+    for k, comment in enumerate(comments):
+        # Two hyphens end a comment.
+        root.insert(k, ET.Comment(f" {comment.replace('--', '- -')} "))
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _format(value: float) -> str:
+    return f"{value:.{_DIGITS}g}"
