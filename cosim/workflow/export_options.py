@@ -28,8 +28,8 @@ class ExportOptions(TypedDict, total=False):
     """drive: Turns of the motor per turn of the joint; by default 1."""
     rigid_body: BodyArg
     """drive: Result of 'hesr identify' with inertia, stiffness and damping of elastic gears.
-    observer and plant: Result of 'hesr identify' for 'robot'; by default the parameters of the
-    model file."""
+    isaaclab, mjcf-joint, observer, plant and urdf-dynamics: Result of 'hesr identify' for
+    'robot'; by default the parameters of the model file."""
     properties: bool
     """fmu: Run the physics checks and add their table to the pages."""
     power: bool
@@ -42,10 +42,19 @@ class ExportOptions(TypedDict, total=False):
     no_events: bool
     """fmu: No event indicators in model exchange; where a law jumps at reversals, the jump is a
     steep line below 0.001 rad/s."""
+    robot: RobotArg
+    """isaaclab, mjcf-joint, observer, plant and urdf-dynamics: The robot of the law."""
+    log: LogArg | Iterable[LogArg]
+    """isaaclab, mjcf-joint and urdf-dynamics: Logs at whose speeds and loads the numbers hold;
+    as a rule those of the fit."""
+    test_log: LogArg | Iterable[LogArg]
+    """isaaclab, mjcf-joint and urdf-dynamics: Logs that decide on the price of the numbers; by
+    default those of 'log'."""
+    weight: Literal["rows", "power"]
+    """isaaclab, mjcf-joint and urdf-dynamics: Weigh each row alike, or by its speed, which
+    keeps the dissipated energy."""
     project: bool
     """mjcf: Approximate a law that MuJoCo cannot express exactly."""
-    robot: RobotArg
-    """observer and plant: The robot of the law."""
     calibration: LogArg | Iterable[LogArg]
     """observer: Logs without contact that the law was not fitted to, or results of 'hesr run'
     for its test logs, which determine limits and threshold; repeatable; by default those follow

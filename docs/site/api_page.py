@@ -110,12 +110,22 @@ def describe_errors(parts: dict[str, str]) -> str:
     return "".join(f" Raises {name} {text[0].lower()}{text[1:]}" for name, text in errors)
 
 
+_SHORT = 160  # characters
+
+
 def describe_options() -> Iterator[str]:
-    """Yield the export formats and their options."""
+    """Yield the export formats and their options, short ones together."""
+    short_texts = []
     for section in help_sections():
         formats = [f"{name} ({join_lines(title)})" for name, title in section.formats]
         options = [f"`{o.name}` ({join_lines(o.description)})" for o in section.options]
-        yield f"- {section.title}: {'; '.join(formats + options)}"
+        text = f"{section.title}: {'; '.join(formats + options)}"
+        if len(text) > _SHORT:
+            yield f"- {text}"
+        else:
+            short_texts.append(text)
+    if short_texts:
+        yield f"- {'. '.join(short_texts)}"
 
 
 def describe_class(name: str) -> str:

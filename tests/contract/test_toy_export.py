@@ -162,7 +162,7 @@ def test_the_command_and_the_function_write_the_file(site: Path, tmp_path: Path)
             ("robot.xml", "--format", FORMAT, "-o", "A.fmu"),
             f"--format is {FORMAT}, which is for friction laws; a robot becomes an FMU",
         ),
-        ((LAW, "--format", "swing", "-o", "s.csv"), f"torch, {FORMAT}."),
+        ((LAW, "--format", "swing", "-o", "s.csv"), f"urdf-dynamics, {FORMAT}."),
     ],
 )
 def test_refusals_are_those_of_own_formats(

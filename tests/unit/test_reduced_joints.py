@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from joint_data import along, law, path
 
-from hesr.extras.reduced.formats import compose_isaaclab, compose_mjcf, compose_urdf
-from hesr.extras.reduced.reduction import ReducedJoint, project, reduce_model
+from hesr.extras.reduction.formats import compose_isaaclab, compose_mjcf, compose_urdf
+from hesr.extras.reduction.projection import ReducedJoint, project, reduce_model
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.residual import find_resting_speed

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from fmu_src.exporter import RIGID_BODY, ROBOT, Exporter, ExportOption
 
 if TYPE_CHECKING:
-    from hesr.extras.reduced.reduction import ReducedJoint
+    from hesr.extras.reduction.projection import ReducedJoint
     from hesr_model.friction.model import FrictionModel
 
 _OPTIONS = (
@@ -41,7 +41,7 @@ def _defer(compose_name: str) -> Callable[..., list[str]]:
     """Return a writer that imports its format when it is called."""
 
     def write(model: FrictionModel, output: Path, **options: Any) -> list[str]:
-        from hesr.extras.reduced import formats
+        from hesr.extras.reduction import formats
 
         compose: Callable[[Sequence[ReducedJoint], Sequence[str]], str] = getattr(
             formats, compose_name

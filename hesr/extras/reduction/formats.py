@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from hesr.extras.reduced.reduction import LogRecords, ReducedJoint, Weight, reduce_model
+from hesr.extras.reduction.projection import LogRecords, ReducedJoint, Weight, reduce_model
 from hesr_model.errors import ExportError
 from hesr_model.friction.log_friction import LogSource, read_log
 from hesr_model.friction.model import FrictionModel
