@@ -256,6 +256,8 @@ def test_the_first_lines_state_what_explains_the_gain() -> None:
     assert sentence in " ".join(lines)
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     assert sentence in " ".join(readme.split())
+    [joints] = re.findall(r"on \d+ of \d+ measured joints", opening)
+    assert joints in " ".join(readme.split())
 
 
 def small(folder: Path) -> Path:

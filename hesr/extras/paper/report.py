@@ -372,12 +372,10 @@ def _describe_gains(result: PaperResult) -> Iterator[str]:
             count = len(judgement.holding)
             text = f"on {count} of {len(decided)} {cases}"
             if count:
-                gains = [
-                    100.0 * (1.0 - judgement.values[label].value) for label in judgement.holding
-                ]
-                text += f" by {_format_range(gains, 0)} %"
+                holding = [judgement.values[label].value for label in judgement.holding]
+                text += f" by {_format_range([100.0 * (1.0 - value) for value in holding], 0)} %"
             texts.append(text)
-    yield f"Its error is lower {' and '.join(texts)}."
+    yield f"Its error is lower {' and '.join(texts)}, by the whole interval."
     if MEASURED in result.ratios:
         rivals = {
             "rbfnn_h": "RBFNN-H",
@@ -391,7 +389,7 @@ def _describe_gains(result: PaperResult) -> Iterator[str]:
             if values:
                 ranges.append(f"{_format_range(values, 2)} times that of {rival}")
         if ranges:
-            yield f"On measured joints with enough rows its error is {', '.join(ranges)}."
+            yield f"On measured joints with enough rows it is {', '.join(ranges)}."
     table_1 = [number.value for number in result.ratios[TABLE_1]["lugre"].values()]
     yield f"Where Table I is the truth it is {_format_range(table_1, 2)} times that of LuGre."
 
