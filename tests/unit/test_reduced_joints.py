@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from joint_data import along, law, path
 
+from hesr.extras.reduction.creep import DEFAULT_SOLREF, SOLREF, simulate_creep
 from hesr.extras.reduction.formats import compose_isaaclab, compose_mjcf, compose_urdf
 from hesr.extras.reduction.projection import ReducedJoint, project, reduce_model
 from hesr_model.friction.law import FrictionLaw
@@ -32,7 +33,7 @@ def model_of(one: FrictionLaw) -> FrictionModel:
 def reduced(true: FrictionLaw, noise: float = 0.0, **options: Any) -> ReducedJoint:
     training = [[along(true, path(k), noise=noise, seed=k)] for k in range(2)]
     tests = [[along(true, path(7), noise=noise, seed=7)]]
-    [joint] = reduce_model(model_of(true), training, tests, None, **options)
+    [joint] = reduce_model(model_of(true), training, tests, None, [0.5], **options)
     return joint
 
 
@@ -87,6 +88,14 @@ def test_mujoco_has_the_numbers() -> None:
     assert np.ravel(model.dof_damping)[0] == pytest.approx(JOINTS[0].damping, rel=1e-5)
     assert model.dof_armature[0] == pytest.approx(0.25)
     ET.fromstring(included)
+
+
+def test_mujoco_creeps_less_with_the_written_constant() -> None:
+    """Under half of the Coulomb friction, by MuJoCo's own constraint: see `solref` there."""
+    joint = JOINTS[0]
+    speeds = [simulate_creep(joint, solref=solref) for solref in (SOLREF, DEFAULT_SOLREF)]
+    assert 0.0 < speeds[0] < 0.5 * speeds[1]
+    assert f"{joint.name}: {speeds[0]:.2g} rad/s" in compose_mjcf(JOINTS, COMMENTS)
 
 
 def test_a_urdf_has_the_numbers() -> None:

@@ -5,6 +5,9 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
+import numpy as np
+
+from hesr.extras.reduction.creep import DEFAULT_SOLREF, SOLREF, STEP, simulate_creep
 from hesr.extras.reduction.projection import LogRecords, ReducedJoint, Weight, reduce_model
 from hesr_model.errors import ExportError
 from hesr_model.friction.log_friction import LogSource, read_log
@@ -15,6 +18,7 @@ from hesr_model.support.files import written_whole
 from hesr_model.units import unit_of_joint
 
 _DIGITS = 6
+_INERTIA_ROWS = 200  # positions at which inertias are averaged
 
 
 def export_reduced(
@@ -51,7 +55,8 @@ def export_reduced(
     training = _read_records(model, log, robot, rigid_body)
     tests = _read_records(model, test_log, robot, rigid_body) if test_log else training
     body = rigid_body or model.rigid_body
-    joints = reduce_model(model, training, tests, body, weight)
+    inertias = _find_mean_inertias(robot, body, training)
+    joints = reduce_model(model, training, tests, body, inertias, weight)
     for joint in joints:
         if joint.frictionloss == 0.0 and joint.damping == 0.0:
             raise ExportError(
@@ -81,6 +86,18 @@ def _read_records(
     ]
 
 
+def _find_mean_inertias(robot: Robot, body: RigidBody | None, records: LogRecords) -> list[float]:
+    """Return what each joint moves [kg.m2], the mean over positions of the logs."""
+    parameters = robot.nominal_parameters if body is None else body.parameters
+    q = np.concatenate(
+        [np.stack([record.q for record in log_records], axis=1) for log_records in records]
+    )
+    step = max(1, len(q) // _INERTIA_ROWS)
+    mass_matrices, _ = robot.dynamics(parameters, q[::step], np.zeros_like(q[::step]))
+    diagonals = np.diagonal(mass_matrices, axis1=1, axis2=2)
+    return [float(inertia) for inertia in np.mean(diagonals, axis=0)]
+
+
 def _describe_price(joints: Sequence[ReducedJoint], *, is_held_back: bool) -> Iterator[str]:
     """Yield the price of each joint as one line."""
     rows = "logs that were not used for them" if is_held_back else "the logs of the projection"
@@ -102,8 +119,8 @@ def _describe_price(joints: Sequence[ReducedJoint], *, is_held_back: bool) -> It
 def compose_mjcf(joints: Sequence[ReducedJoint], comments: Sequence[str]) -> str:
     """Return defaults of MuJoCo, one class per joint, for `<include>` in a model.
 
-    MuJoCo's Coulomb friction is a soft constraint: below a speed that its `solreffriction` and the
-    inertia decide, the joint creeps.
+    MuJoCo's Coulomb friction is a soft constraint, so that a held joint creeps; the comments state
+    how fast, as MuJoCo simulates it.
     """
     root = ET.Element("mujoco")
     defaults = ET.SubElement(root, "default")
@@ -111,16 +128,28 @@ def compose_mjcf(joints: Sequence[ReducedJoint], comments: Sequence[str]) -> str
         attributes = {
             "damping": _format(joint.damping),
             "frictionloss": _format(joint.frictionloss),
+            "solreffriction": SOLREF,
         }
         if joint.armature is not None:
             attributes["armature"] = _format(joint.armature)
         default_class = ET.SubElement(defaults, "default", {"class": joint.name})
         ET.SubElement(default_class, "joint", attributes)
-    usage = (
-        "Include this file, and give each joint the class of its name. MuJoCo's Coulomb friction "
-        "is soft: below a low speed the joint creeps; a smaller solreffriction makes it stiffer."
+    usage = "Include this file, and give each joint the class of its name."
+    creep = (
+        "MuJoCo's Coulomb friction is soft: under half of it a held joint creeps, at a step of "
+        f"{1e3 * STEP:g} ms:"
     )
-    return _compose_xml(root, [*comments, usage, *_list_hidden_rotors(joints)])
+    creep_lines = [
+        f"{joint.name}: {simulate_creep(joint):.2g} "
+        f"{unit_of_joint('rad/s', is_prismatic=joint.sliding)}, without solreffriction "
+        f"{simulate_creep(joint, solref=DEFAULT_SOLREF):.2g}."
+        for joint in joints
+        if joint.frictionloss > 0.0 and joint.inertia > 0.0
+    ]
+    if creep_lines:
+        creep_lines.insert(0, creep)
+    comments = [*comments, usage, *creep_lines, *_list_hidden_rotors(joints)]
+    return _compose_xml(root, comments)
 
 
 def compose_urdf(joints: Sequence[ReducedJoint], comments: Sequence[str]) -> str:

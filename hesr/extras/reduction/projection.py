@@ -61,6 +61,7 @@ class ReducedJoint:
     armature : inertia of the rotor at the joint [kg.m2]; None if it is not visible beside that of
         the link.
     sliding : whether the units are those of a prismatic joint.
+    inertia : what the joint moves in the mean of the logs, with its rotor [kg.m2].
     price : cost of the reduction.
     """
 
@@ -69,6 +70,7 @@ class ReducedJoint:
     damping: float
     armature: float | None
     sliding: bool
+    inertia: float
     price: Price
 
     def torque(self, dq: Array) -> Array:
@@ -91,6 +93,7 @@ def reduce_model(
     training: LogRecords,
     tests: LogRecords,
     body: RigidBody | None,
+    inertias: Sequence[float],
     weight: Weight = "rows",
 ) -> list[ReducedJoint]:
     """Return the numbers of each joint from `training`, and their price on `tests`.
@@ -100,6 +103,7 @@ def reduce_model(
     model : laws of the joints.
     training, tests : measured friction of each joint in each log.
     body : body with the inertias of the rotors, if it is known.
+    inertias : what each joint moves in the mean [kg.m2].
     weight : what the projection weighs.
     """
     joints = []
@@ -114,6 +118,7 @@ def reduce_model(
                 damping=damping,
                 armature=_find_armature(body, name),
                 sliding=model.slides[j],
+                inertia=inertias[j],
                 price=_compute_price(test_rows[j], frictionloss, damping),
             )
         )
