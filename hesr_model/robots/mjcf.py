@@ -37,6 +37,7 @@ _SECONDS = 20.0  # to compile a file
 _MAX_MEMORY = 2 << 30  # to compile a file [B]
 _MAX_MESSAGE_LENGTH = 1000  # characters of a child's
 _TRIAL = "1"  # version of what a trial does
+_DEFAULT_MODEL_NAME = "MuJoCo Model"
 FILE_ATTRIBUTES = ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
 """Attributes of an MJCF that name a file."""
 
@@ -393,16 +394,18 @@ def _list_models(
             continue
         inner_root = _parse_root(file, resolve_includes(file))
         if inner_root is not None:
-            attachments = _count_attachments(root, element.get("name", ""))
-            inner_copies = copies * min(attachments, _MAX_PARTS + 1)
+            # MuJoCo's default name is that of the model in the file.
+            name = element.get("name", inner_root.get("model", _DEFAULT_MODEL_NAME))
+            attachments = min(_count_attachments(root, name), _MAX_PARTS + 1)
+            inner_copies = copies * max(1, attachments)  # it is read even if it is not attached
             yield from _list_models(inner_root, file.parent, known | {file.resolve()}, inner_copies)
 
 
 def _count_attachments(element: Element, name: str) -> int:
-    """Return how often a model is attached below an element, at least once."""
+    """Return how often a model is attached below an element."""
     count = sum(_count_attachments(child, name) for child in element if len(child))
     count += sum(1 for child in element if child.tag == "attach" and child.get("model") == name)
-    return max(1, count) * (_read_size(element, "count") if element.tag == "replicate" else 1)
+    return count * (_read_size(element, "count") if element.tag == "replicate" else 1)
 
 
 def _count_parts(element: Element) -> int:

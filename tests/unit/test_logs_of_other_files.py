@@ -94,10 +94,10 @@ def test_a_reference_to_another_file_is_refused(
 
 
 @pytest.mark.parametrize("kind", ["link", "pipe"])
-@pytest.mark.parametrize("name", ["a.db3", "a.mcap", "metadata.yaml-wal", "note"])
+@pytest.mark.parametrize("name", ["a.db3", "a.mcap", "metadata.yaml-wal", "note", "inner/deep/a"])
 def test_a_bag_has_no_links_and_pipes(tmp_path: Path, kind: str, name: str) -> None:
     bag = tmp_path / "bag"
-    bag.mkdir()
+    (bag / name).parent.mkdir(parents=True)
     (bag / "metadata.yaml").write_text("rosbag2_bagfile_information: {}", encoding="utf-8")
     if kind == "pipe":
         os.mkfifo(bag / name)

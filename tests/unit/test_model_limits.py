@@ -69,6 +69,34 @@ def test_attachments_of_copies_count(tmp_path: Path) -> None:
         compile_model(write(tmp_path, asset, attached))
 
 
+@pytest.mark.parametrize("name", ["m", None, "default"])
+def test_copies_of_models_named_by_their_file_count(name: str | None, tmp_path: Path) -> None:
+    """MuJoCo names an unnamed model as its file does, or by its default."""
+    inner = write(tmp_path, "", "<site/>" * 100, "inner.xml")
+    own_name = "" if name == "default" else ' model="hand"'
+    text = inner.read_text(encoding="utf-8").replace("<mujoco>", f"<mujoco{own_name}>")
+    inner.write_text(text, encoding="utf-8")
+    attached_name = {"m": "m", None: "hand", "default": "MuJoCo Model"}[name]
+    asset = '<model name="m" file="inner.xml"/>'
+    if name != "m":
+        asset = asset.replace(' name="m"', "")
+    body = f'<attach model="{attached_name}" body="b" prefix="a"/>'
+    outer = write(tmp_path, asset, f'<replicate count="200">{body}</replicate>')
+    with pytest.raises(ConfigError, match="can be compiled"):
+        compile_model(outer)
+    outer = write(tmp_path, asset, f'<replicate count="20">{body}</replicate>')
+    assert compile_model(outer).nsite == 2000
+
+
+def test_branches_without_attachments_do_not_count(tmp_path: Path) -> None:
+    """A hundred branches, and one hand of 200 sites at one of them."""
+    write(tmp_path, "", "<site/>" * 200, "hand.xml")
+    bodies = [f'<body><geom size="0.1"/><body name="c{k}"><site/></body></body>' for k in range(99)]
+    hand = '<body><geom size="0.1"/><attach model="m" body="b" prefix="a"/></body>'
+    asset = '<model name="m" file="hand.xml"/>'
+    assert compile_model(write(tmp_path, asset, "".join([*bodies, hand]))).nsite == 299
+
+
 @pytest.mark.parametrize("copies", [2, 15_000])
 def test_attachments_in_attachments_are_counted_at_once(
     copies: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -248,13 +248,14 @@ def _join_series(joint_series: Sequence[_Series], field: str, t: NDArray[np.int6
 
 def _require_plain_files(path: Path) -> None:
     """Refuse links and pipes, which the reader would follow or wait for; raises LogError."""
-    for file in path.iterdir():
+    for file in path.rglob("*"):  # it does not enter linked folders
         if file.is_symlink() or not (file.is_file() or file.is_dir()):
+            name = file.relative_to(path).as_posix()
             raise LogError(
-                f"{path}: {quote(file.name)} is a link, a pipe or a device; a bag has plain files.",
+                f"{path}: {quote(name)} is a link, a pipe or a device; a bag has plain files.",
                 code="log.other_file",
                 where=path,
-                key=file.name,
+                key=name,
             )
 
 
