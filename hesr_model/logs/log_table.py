@@ -213,8 +213,9 @@ def readable(path: Path, kind: str) -> Iterator[None]:
 
 
 def compute_max_bytes(path: Path) -> int:
-    """Return the allowed memory [B] of a packed file."""
-    return 10 * path.stat().st_size + 300 * 2**20
+    """Return the allowed memory [B] of a packed file, or of the files in a folder."""
+    files = path.rglob("*") if path.is_dir() else [path]
+    return 10 * sum(file.stat().st_size for file in files) + 300 * 2**20
 
 
 def build_table(

@@ -2,26 +2,19 @@
 
 import csv
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hesr_model.errors import LogError
-from hesr_model.logs.csv_text import Column, read_text, text_pieces
-from hesr_model.logs.log_table import (
-    LogTable,
-    TextCell,
-    compute_max_bytes,
-    readable,
-    require_columns,
-)
+from hesr_model.logs.csv_text import read_text, text_pieces
+from hesr_model.logs.log_table import LogTable
+from hesr_model.logs.parsed_file import has_module, parse_file
 from hesr_model.support.arrays import Array
 from hesr_model.support.extras import install_command
 
 _CHUNK_ROWS = 10_000  # rows written at once
-_BATCH_ROWS = 2**16  # rows read at once
 _KINDS = dict.fromkeys((".parquet", ".pq"), "Parquet")
 _KINDS |= dict.fromkeys((".feather", ".arrow", ".ipc"), "Feather")
 
@@ -36,7 +29,8 @@ def read_table(path: Path, names: Sequence[str] = ()) -> LogTable:
     require_content(path)
     kind = _KINDS.get(path.suffix.lower())
     if kind:
-        return _build_table(path, import_arrow().concat_tables(_read_batches(path, kind)))
+        (table,) = _parse_tables(path, kind, "arrow:parse", {"kind": kind})
+        return table
     return read_text(path, names)
 
 
@@ -45,22 +39,20 @@ def table_pieces(path: Path, names: Sequence[str], max_rows: int) -> Iterator[Lo
     require_content(path)
     kind = _KINDS.get(path.suffix.lower())
     if kind:
-        yield from (
-            _build_table(path, batch)
-            for batch in _read_batches(path, kind, max_rows)
-            if batch.num_rows
+        yield from _parse_tables(
+            path, kind, "arrow:parse_pieces", {"kind": kind, "max_rows": max_rows}
         )
     else:
         yield from text_pieces(path, names, max_rows)
 
 
-def _build_table(path: Path, arrow_table: Any) -> LogTable:
-    return LogTable(
-        path,
-        tuple(arrow_table.column_names),
-        arrow_table.num_rows,
-        lambda k: _to_array(arrow_table.column(k)),
-    )
+def _parse_tables(
+    path: Path, kind: str, parser: str, options: Mapping[str, Any]
+) -> Iterator[LogTable]:
+    _require_arrow()
+    for item in parse_file(path, kind, parser, "pyarrow.parquet", options):
+        names = tuple(name for name, _ in item.columns)
+        yield LogTable(path, names, item.row_count, item.get_cells)
 
 
 def require_content(path: Path) -> None:
@@ -104,56 +96,12 @@ def write_table(path: Path, columns: Mapping[str, Array]) -> None:
 
 def import_arrow() -> Any:
     """Return pyarrow with `pyarrow.parquet`; raises LogError if it is not installed."""
-    try:
-        import pyarrow.parquet
-    except ModuleNotFoundError as error:
-        raise LogError(
-            f"Parquet and Feather need pyarrow: {install_command('formats')}."
-        ) from error
+    _require_arrow()
+    import pyarrow.parquet
+
     return pyarrow
 
 
-def _to_array(cells: Any) -> Array | TextCell:
-    pa = import_arrow()
-    kind = cells.type
-    is_time = pa.types.is_timestamp(kind) or pa.types.is_duration(kind)
-    if is_time or (pa.types.is_integer(kind) and not cells.null_count):
-        return np.asarray(cells.to_numpy())
-    with suppress(pa.ArrowException):
-        return np.asarray(cells.cast(pa.float64(), safe=False).to_numpy(), dtype=float)
-    column = Column()
-    try:
-        column.add(["" if cell is None else str(cell) for cell in cells.to_pylist()])
-    except Exception:  # Python cannot show every date
-        return TextCell(index=0, text=str(kind))
-    return column.concatenate()
-
-
-def _read_batches(path: Path, kind: str, max_rows: int = _BATCH_ROWS) -> Iterator[Any]:
-    """Yield tables of up to `max_rows` rows, the first one maybe empty."""
-    pa = import_arrow()
-    row_count = 0
-    with readable(path, kind):
-        if kind == "Parquet":
-            with pa.parquet.ParquetFile(path, pre_buffer=False) as file:
-                _require_size(path, file.metadata.num_rows, file.metadata.num_columns)
-                yield file.schema_arrow.empty_table()
-                for batch in file.iter_batches(max_rows):
-                    yield pa.Table.from_batches([batch])
-            return
-        with pa.ipc.open_file(path) as file:
-            yield file.schema.empty_table()
-            for k in range(file.num_record_batches):
-                batch = file.get_batch(k)
-                row_count += batch.num_rows
-                _require_size(path, row_count, len(file.schema))
-                for first in range(0, batch.num_rows, max_rows):
-                    yield pa.Table.from_batches([batch.slice(first, max_rows)])
-
-
-def _require_size(path: Path, row_count: int, column_count: int) -> None:
-    require_columns(path, column_count)
-    if 8 * row_count * column_count > compute_max_bytes(path):
-        raise LogError(
-            f"{path}: has {row_count} rows of {column_count} columns, more than fits into the file."
-        )
+def _require_arrow() -> None:
+    if not has_module("pyarrow"):
+        raise LogError(f"Parquet and Feather need pyarrow: {install_command('formats')}.")

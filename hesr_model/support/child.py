@@ -14,7 +14,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -48,7 +48,7 @@ _VARIABLES = {"PATH", "HOME", "LANG", "LANGUAGE", "TZ", "LD_LIBRARY_PATH", "JAVA
 _PREFIXES = ("LC_", "DYLD_", "OMP_", "GOMP_", "KMP_", "MKL_", "OPENBLAS_", "BLIS_", "VECLIB_")
 _POLL_PERIOD = 0.1  # [s] between checks of the process
 _END_TIMEOUT = 5.0  # [s] to end by itself
-_RECEIVE_SIZE = 1 << 16  # bytes received at once
+_RECEIVE_SIZE = 1 << 20  # bytes received at once
 _MAX_REPORT_BYTES = 1000
 _MAX_RESULT_BYTES = 64 << 20
 _MAX_ANSWER_BYTES = 1 << 20
@@ -107,13 +107,22 @@ class Child:
 
     def ask(self, request: Any, limit: int = _MAX_ANSWER_BYTES) -> Any:
         """Return the answer to a request, at most `limit` bytes."""
+        answer = self._exchange(request, limit)
+        self._require_silence()
+        return answer
+
+    def _exchange(self, request: Any, limit: int) -> Any:
+        """Return an answer, which buffers may follow."""
         data = json.dumps(request).encode()
         self._answer_deadline = time.monotonic() + self.seconds
         try:
             if not self._has_reported:
                 self._warn_of_risks()
             self._send(child_main.LENGTH.pack(len(data)) + data)
-            return json.loads(self._receive(limit))
+            length = child_main.LENGTH.unpack(self._receive(child_main.LENGTH.size))[0]
+            if length > limit:
+                raise self.end_process(INVALID_ANSWER)
+            return json.loads(self._receive(length))
         except OSError as error:  # a closed connection included
             raise self.end_process(self._describe_end()) from error
         except (ValueError, RecursionError) as error:
@@ -122,14 +131,47 @@ class Child:
     def run(self, function: str, *arguments: Any) -> Any:
         """Return the result of "module:function", called in the process with JSON data."""
         answer = self.ask({"run": [function, *arguments]}, _MAX_RESULT_BYTES)
+        self._require_result(answer)
         try:
-            if "raised" in answer:
-                raise self.end_process(
-                    f"failed with '{sanitise(str(answer['raised']), 400).rstrip('.')}'"
-                )
             return answer["result"]
         except (TypeError, KeyError) as error:
             raise self.end_process(INVALID_ANSWER) from error
+
+    def iterate(
+        self, function: str, *arguments: Any, limit: int
+    ) -> Iterator[tuple[Any, list[bytearray]]]:
+        """Yield the items of "module:function", an iterator: JSON data and at most `limit` bytes.
+
+        Each item must come within `seconds`.
+        """
+        request: dict[str, Any] = {"iterate": [function, *arguments]}
+        while True:
+            answer = self._exchange(request, _MAX_RESULT_BYTES)
+            self._require_result(answer)
+            if not answer:
+                return
+            try:
+                sizes = [_require_size(size) for size in answer["sizes"]]
+                item = answer["item"]
+            except (TypeError, KeyError, ValueError) as error:
+                raise self.end_process(INVALID_ANSWER) from error
+            if sum(sizes) > limit:
+                raise self.end_process(INVALID_ANSWER)
+            try:
+                buffers = [self._receive(size) for size in sizes]
+            except OSError as error:
+                raise self.end_process(self._describe_end()) from error
+            self._require_silence()
+            yield item, buffers
+            request = {"next": True}
+
+    def _require_result(self, answer: Any) -> None:
+        """End the process if its function has failed, or if its answer is none."""
+        if not isinstance(answer, dict):
+            raise self.end_process(INVALID_ANSWER)
+        if "raised" in answer:
+            reason = sanitise(str(answer["raised"]), 400).rstrip(".")
+            raise self.end_process(f"failed with '{reason}'")
 
     def end_process(self, reason: str) -> DiedError:
         """End the process and return the error."""
@@ -178,12 +220,13 @@ class Child:
                 unsent = unsent[self._socket.send(unsent) :]
             self._require_time()
 
-    def _receive(self, limit: int) -> bytes:
-        data = bytearray()
-        size = child_main.LENGTH.size + limit
-        while len(data) < size:
+    def _receive(self, size: int) -> bytearray:
+        """Return the next `size` bytes of an answer."""
+        data = bytearray(size)
+        missing = memoryview(data)
+        while missing:
             try:
-                piece = self._socket.recv(_RECEIVE_SIZE)
+                count = self._socket.recv_into(missing, min(len(missing), _RECEIVE_SIZE))
             except TimeoutError:
                 # Descendants may keep the connection open.
                 if self._child.process.poll() is not None:
@@ -191,18 +234,24 @@ class Child:
                 self._extend_deadline()
                 self._require_time()
                 continue
-            if not piece:
+            if not count:
                 raise ConnectionError
-            data += piece
-            if len(data) < child_main.LENGTH.size:
+            missing = missing[count:]
+            if missing:
                 self._require_time()
-                continue
-            size = child_main.LENGTH.size + child_main.LENGTH.unpack_from(data)[0]
-            if size > child_main.LENGTH.size + limit or len(data) > size:
-                raise self.end_process(INVALID_ANSWER)
-            if len(data) < size:
-                self._require_time()
-        return bytes(data[child_main.LENGTH.size :])
+        return data
+
+    def _require_silence(self) -> None:
+        """End the process if bytes follow its answer."""
+        self._socket.settimeout(0.0)
+        try:
+            surplus = self._socket.recv(1)
+        except OSError:  # nothing yet, or the end, which the next request meets
+            surplus = b""
+        finally:
+            self._socket.settimeout(_POLL_PERIOD)
+        if surplus:
+            raise self.end_process(INVALID_ANSWER)
 
     def _extend_deadline(self) -> None:
         """Give an answer that makes progress more time; by default none does."""
@@ -242,6 +291,12 @@ def run_in_child(
             return child.run(function, *arguments)
         finally:
             child.kill()
+
+
+def _require_size(size: object) -> int:
+    if type(size) is not int or size < 0:
+        raise ValueError("a size is no natural number")
+    return size
 
 
 def warn_of_risks(held: Collection[str]) -> None:

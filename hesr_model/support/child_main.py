@@ -17,7 +17,7 @@ import struct
 import sys
 import sysconfig
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, NoReturn
@@ -64,10 +64,14 @@ class Connection:
             return None
         return json.loads(self._requests.read(*LENGTH.unpack(header)))
 
-    def send(self, reply: object) -> None:
-        """Send an answer."""
+    def send(self, reply: object, buffers: Sequence[Any] = ()) -> None:
+        """Send an answer, and buffers after it."""
         answer = json.dumps(reply).encode()
-        unsent = memoryview(LENGTH.pack(len(answer)) + answer)
+        self._write(memoryview(LENGTH.pack(len(answer)) + answer))
+        for buffer in buffers:
+            self._write(_view_bytes(buffer))
+
+    def _write(self, unsent: memoryview) -> None:
         if self._socket is not None:
             self._socket.sendall(unsent)
             return
@@ -79,25 +83,55 @@ Answerer = Callable[[Any], Any]
 
 
 def serve(connection: Connection, answer: Answerer | None = None) -> None:
-    """Answer requests to run functions, and others by `answer`."""
+    """Answer requests to run functions or to iterate over their results, and others by `answer`."""
     process_id = os.getpid()
+    caller = _Caller()
     while (request := connection.receive()) is not None:
-        if "run" in request:
-            reply = _run(*request["run"])
+        buffers: Sequence[Any] = ()
+        if request.keys() & {"run", "iterate", "next"}:
+            reply, buffers = caller.answer(request)
         else:
             assert answer is not None, request
             reply = answer(request)
         if os.getpid() != process_id:  # foreign code has forked: one process answers
             os._exit(0)
-        connection.send(reply)
+        connection.send(reply, buffers)
 
 
-def _run(function: str, *arguments: Any) -> dict[str, Any]:
+Item = tuple[Any, Sequence[Any]]
+"""JSON data, and contiguous buffers."""
+
+
+class _Caller:
+    """Calls functions by name, and iterates over the items of the last one that yields any."""
+
+    def __init__(self) -> None:
+        self._items: Iterator[Item] = iter(())
+
+    def answer(self, request: dict[str, Any]) -> tuple[dict[str, Any], Sequence[Any]]:
+        """Return an answer and the buffers after it."""
+        try:
+            if "run" in request:
+                return {"result": _call(*request["run"])}, ()
+            if "iterate" in request:
+                self._items = iter(_call(*request["iterate"]))
+            item = next(self._items, None)
+        except Exception as error:
+            return {"raised": f"{type(error).__name__}: {error}"[:MAX_MESSAGE_LENGTH]}, ()
+        if item is None:
+            return {}, ()
+        value, buffers = item
+        return {"item": value, "sizes": [_view_bytes(data).nbytes for data in buffers]}, buffers
+
+
+def _call(function: str, *arguments: Any) -> Any:
     module, _, name = function.partition(":")
-    try:
-        return {"result": getattr(importlib.import_module(module), name)(*arguments)}
-    except Exception as error:
-        return {"raised": f"{type(error).__name__}: {error}"[:MAX_MESSAGE_LENGTH]}
+    return getattr(importlib.import_module(module), name)(*arguments)
+
+
+def _view_bytes(data: Any) -> memoryview:
+    view = memoryview(data)
+    return view.cast("B") if view.nbytes else memoryview(b"")
 
 
 def _limit_core_dumps() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from hesr_model.errors import LogError
 from hesr_model.logs.log_format import LogFormat
 from hesr_model.logs.log_table import LogTable, build_table, compute_max_bytes, readable
+from hesr_model.logs.number_arrays import find_number_arrays
 from hesr_model.logs.readers.formats import table_format
 from hesr_model.logs.tables import require_content
 from hesr_model.support.arrays import Array
@@ -52,22 +53,6 @@ def _split_columns(name: str, array: Array) -> dict[str, Array]:
     flat = array.reshape(len(array), -1)
     is_vector = array.ndim == 1
     return {name if is_vector else f"{name}{k}": column for k, column in enumerate(flat.T, start=1)}
-
-
-def find_number_arrays(value: Any, name: str) -> Iterator[tuple[str, Array]]:
-    """Yield the arrays of numbers in nested structures, named as in MATLAB."""
-    if isinstance(value, Mapping):
-        for field, inner in value.items():
-            yield from find_number_arrays(inner, f"{name}.{field}" if name else str(field))
-    elif isinstance(value, list):
-        for k, inner in enumerate(value, start=1):
-            yield from find_number_arrays(inner, f"{name}({k})")
-    elif isinstance(value, np.ndarray) and value.dtype.kind == "O":
-        yield from find_number_arrays(list(value.ravel()), name)
-    elif isinstance(value, np.ndarray) and value.dtype.names:
-        yield from find_number_arrays({field: value[field] for field in value.dtype.names}, name)
-    elif np.asarray(value).dtype.kind in "fiu":
-        yield name, np.asarray(value, dtype=float)
 
 
 def load_arrays(path: Path) -> dict[str, Any]:

@@ -8,20 +8,24 @@ from dataclasses import dataclass
 from os import SEEK_END
 from pathlib import Path
 from struct import pack, unpack
-from typing import Any, BinaryIO, NamedTuple, Self
+from typing import BinaryIO, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hesr_model.errors import LogError
+from hesr_model.logs.parsed_file import ParsedItem, has_module, parse_file
 from hesr_model.logs.readers.samples import LogSamples
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.arrays import Array
+from hesr_model.support.child import INVALID_ANSWER
 from hesr_model.support.extras import install_command
 from hesr_model.support.files import scratch_folder
-from hesr_model.support.text import on_one_line, quote
+from hesr_model.support.text import quote
 
-_TYPE = "sensor_msgs/msg/JointState"
+FIELDS = ("position", "velocity", "effort")
+"""Fields of a joint state with numbers."""
+
 _SUFFIXES = (".db3", ".mcap", ".bag")
 _log = logging.getLogger(__name__)
 _MAGIC = b"\x89MCAP0\r\n"
@@ -118,9 +122,7 @@ def read_bag(path: Path, description: RobotDescription) -> LogSamples:
             where=where,
         )
     t = slowest_series.t[rows]
-    q, dq, effort = (
-        _join_series(joint_series, field, t) for field in ("position", "velocity", "effort")
-    )
+    q, dq, effort = (_join_series(joint_series, field, t) for field in FIELDS)
     if effort is None:
         raise LogError(
             f"{where}: its messages have no effort; record torques or currents as effort.",
@@ -148,10 +150,17 @@ def read_bag(path: Path, description: RobotDescription) -> LogSamples:
     )
 
 
+class _JointState(NamedTuple):
+    name: list[str]
+    position: Array
+    velocity: Array
+    effort: Array
+
+
 class _Message(NamedTuple):
     number: int  # from 1
     stamp: int  # [ns]
-    state: Any  # JointState: name, position, velocity, effort
+    state: _JointState
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -180,13 +189,12 @@ class _Series:
                 where=where,
                 key="header.stamp",
             )
-        fields = ("position", "velocity", "effort")
         return cls(
             t=stamps,
             messages=messages,
             values={
                 field: _read_field(where, messages, joints, field, allows_missing=allows_missing)
-                for field in fields
+                for field in FIELDS
             },
         )
 
@@ -271,59 +279,45 @@ def _read_messages(path: Path, topics: Sequence[str]) -> Iterator[_Message]:
         )
     if path.is_dir():
         _require_plain_files(path)
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ModuleNotFoundError as error:
+    if not has_module("rosbags.highlevel"):
         raise LogError(
             f"{path}: reading a ROS bag needs the package rosbags: {install_command('ros')}.",
             code="log.package",
             where=path,
-        ) from error
-    try:
-        # bags older than ROS 2 Iron lack definitions
-        with (
-            open_complete(path) as complete_path,
-            AnyReader([complete_path], default_typestore=get_typestore(Stores.LATEST)) as reader,
-        ):
-            connections = [c for topic in topics for c in _find_connections(path, reader, topic)]
-            for number, (connection, _, raw) in enumerate(reader.messages(connections), start=1):
-                state: Any = reader.deserialize(raw, connection.msgtype)
-                stamp = state.header.stamp
-                yield _Message(number, stamp.sec * 1_000_000_000 + stamp.nanosec, state)
-    except LogError:
-        raise
-    except Exception as error:  # many kinds
-        raise LogError(
-            f"{path}: cannot be read as a ROS bag ({on_one_line(error)}).",
-            code="file.unreadable",
-            where=path,
-        ) from error
+        )
+    with open_complete(path) as complete_path:
+        options = {"shown": str(path), "topics": list(topics)}
+        items = parse_file(
+            complete_path, "a ROS bag", "ros_bag:parse", "rosbags.highlevel", options
+        )
+        number = 0
+        for item in items:
+            try:
+                messages = list(_list_messages(item, number))
+            except (KeyError, ValueError, IndexError, TypeError) as error:
+                raise LogError(
+                    f"{path}: cannot be read as a ROS bag (its reader {INVALID_ANSWER}).",
+                    code="file.unreadable",
+                    where=path,
+                ) from error
+            number += len(messages)
+            yield from messages
 
 
-def _find_connections(path: Path, reader: Any, topic: str) -> list[Any]:
-    connections = [c for c in reader.connections if c.topic == topic]
-    if not connections:
-        states = sorted({c.topic for c in reader.connections if c.msgtype == _TYPE})
-        topic_list = (
-            f"topics of joint states are {', '.join(states)}" if states else f"none is {_TYPE}"
-        )
-        raise LogError(
-            f"{path}: has no topic '{topic}'; {topic_list}; name one under 'log.bag.topic' of the "
-            "robot file.",
-            code="bag.topic",
-            where=path,
-            key="log.bag.topic",
-        )
-    for connection in connections:
-        if connection.msgtype != _TYPE:
-            raise LogError(
-                f"{path}: topic '{topic}' has messages {connection.msgtype}; expected {_TYPE}.",
-                code="bag.type",
-                where=path,
-                key="log.bag.topic",
-            )
-    return connections
+def _list_messages(item: ParsedItem, number: int) -> Iterator[_Message]:
+    """Yield the messages of an item after a `number` of others; ValueError for an invalid one."""
+    arrays = item.arrays
+    stamps = arrays["stamp"].tolist()
+    name_lists = arrays["names"].tolist()
+    fields: dict[str, list[Array]] = {}
+    for field in FIELDS:
+        counts = arrays[f"{field}_count"]
+        if len(counts) != len(stamps) or np.any(counts < 0) or counts.sum() != arrays[field].size:
+            raise ValueError("lengths differ")
+        fields[field] = np.split(arrays[field], np.cumsum(counts)[:-1])
+    for k, (stamp, names) in enumerate(zip(stamps, name_lists, strict=True)):
+        state = _JointState(item.names[names], *(fields[field][k] for field in FIELDS))
+        yield _Message(number + k + 1, int(stamp), state)
 
 
 def _read_field(

@@ -1,93 +1,30 @@
 """HDF5 files, also those of MATLAB 7.3; needs h5py."""
 
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from hesr_model.errors import LogError
 from hesr_model.logs.log_format import LogFormat
-from hesr_model.logs.log_table import LogTable, compute_max_bytes, readable
-from hesr_model.logs.readers.arrays import build_array_table, find_number_arrays
+from hesr_model.logs.log_table import LogTable
+from hesr_model.logs.parsed_file import has_module, parse_file
+from hesr_model.logs.readers.arrays import build_array_table
 from hesr_model.logs.readers.formats import table_format
 from hesr_model.logs.tables import require_content
 from hesr_model.support.arrays import Array
 from hesr_model.support.extras import install_command
-from hesr_model.support.text import quote
 
 
 def read_hdf5_arrays(path: Path, kind: str, *, transposed: bool = False) -> dict[str, Array]:
     """Return the arrays of numbers by path with dots; raises LogError that names the `kind`."""
-    try:
-        import h5py
-    except ModuleNotFoundError as error:
+    if not has_module("h5py"):
         raise LogError(
             f"{path}: {kind}s need h5py: {install_command('formats')}.",
             code="log.package",
             where=path,
-        ) from error
-
-    external_links: dict[str, str] = {}  # h5py does not let its visitor raise
-
-    def note_external_link(name: str, link: Any) -> None:
-        if isinstance(link, h5py.ExternalLink):
-            external_links[name] = str(link.filename)
-
-    arrays: dict[str, Array] = {}
-    bytes_left = compute_max_bytes(path)
-
-    def visit(name: str, dataset: Any) -> None:
-        if not isinstance(dataset, h5py.Dataset):
-            return
-        _require_own_data(path, name, dataset)
-        # Characters are numbers; '#refs#' holds targets of references in struct arrays.
-        if name.startswith("#"):
-            return
-        is_number = dataset.attrs.get("MATLAB_class", b"") not in (b"char", b"cell")
-        if is_number and dataset.dtype.kind in "fiuV" and "MATLAB_empty" not in dataset.attrs:
-            nonlocal bytes_left
-            bytes_left -= max(8, dataset.dtype.itemsize) * dataset.size
-            if bytes_left < 0:
-                raise LogError(
-                    f"{path}: claims more data than fits into the file.",
-                    code="log.too_large",
-                    where=path,
-                )
-            array = np.asarray(dataset)
-            arrays.update(
-                find_number_arrays(array.T if transposed else array, name.replace("/", "."))
-            )
-
-    with readable(path, f"a {kind}"), h5py.File(path, "r") as file:
-        file.visititems_links(note_external_link)
-        if external_links:
-            name, other_file = next(iter(external_links.items()))
-            raise _build_reference_error(path, name, "an external link to an object", other_file)
-        file.visititems(visit)
-    return arrays
-
-
-def _require_own_data(path: Path, name: str, dataset: Any) -> None:
-    """Refuse data of other files; raises LogError.
-
-    Reading would open any file of the user, or wait for a pipe. Even the size of a virtual data set
-    depends on its sources.
-    """
-    if dataset.is_virtual:
-        sources = {source.file_name for source in dataset.virtual_sources()}
-        raise _build_reference_error(path, name, "a virtual data set", ", ".join(sorted(sources)))
-    if dataset.external:
-        raise _build_reference_error(path, name, "external storage", dataset.external[0][0])
-
-
-def _build_reference_error(path: Path, name: str, reference: str, other_file: str) -> LogError:
-    return LogError(
-        f"{path}: {quote(name)} is {reference} of {quote(other_file)}, which is not opened; save "
-        "all numbers in one file, as data sets without such references.",
-        code="log.other_file",
-        where=path,
-        key=name,
+        )
+    (item,) = parse_file(
+        path, f"a {kind}", "hdf5:parse", "h5py", {"kind": kind, "transposed": transposed}
     )
+    return item.arrays
 
 
 def _read(path: Path, log_format: LogFormat) -> LogTable:

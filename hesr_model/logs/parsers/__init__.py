@@ -1,0 +1,1 @@
+"""Parsers of log files of others, which run in a child process (`hesr_model.logs.parsed_file`)."""

@@ -1,0 +1,86 @@
+"""Parquet and Feather files."""
+
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hesr_model.errors import LogError
+from hesr_model.logs.csv_text import Column
+from hesr_model.logs.log_table import TextCell, compute_max_bytes, readable, require_columns
+from hesr_model.logs.parsers.items import build_item
+from hesr_model.support.arrays import Array
+from hesr_model.support.child_main import Item
+
+_BATCH_ROWS = 2**16  # rows read at once
+
+
+def parse(path: Path, *, kind: str) -> Iterator[Item]:
+    """Yield a whole table; raises LogError."""
+    import pyarrow as pa  # slow to import, and optional
+
+    with readable(path, kind):
+        yield _build_item(pa.concat_tables(_read_batches(path, kind, _BATCH_ROWS)))
+
+
+def parse_pieces(path: Path, *, kind: str, max_rows: int) -> Iterator[Item]:
+    """Yield the tables of at most `max_rows` successive rows; raises LogError."""
+    for batch in _read_batches(path, kind, max_rows):
+        if batch.num_rows:
+            yield _build_item(batch)
+
+
+def _build_item(table: Any) -> Item:
+    columns = ((name, _to_array(table.column(k))) for k, name in enumerate(table.column_names))
+    return build_item(columns, row_count=table.num_rows)
+
+
+def _to_array(cells: Any) -> Array | TextCell:
+    import pyarrow as pa
+
+    kind = cells.type
+    is_time = pa.types.is_timestamp(kind) or pa.types.is_duration(kind)
+    if is_time or (pa.types.is_integer(kind) and not cells.null_count):
+        return np.asarray(cells.to_numpy())
+    with suppress(pa.ArrowException):
+        return np.asarray(cells.cast(pa.float64(), safe=False).to_numpy(), dtype=float)
+    column = Column()
+    try:
+        column.add(["" if cell is None else str(cell) for cell in cells.to_pylist()])
+    except Exception:  # Python cannot show every date
+        return TextCell(index=0, text=str(kind))
+    return column.concatenate()
+
+
+def _read_batches(path: Path, kind: str, max_rows: int) -> Iterator[Any]:
+    """Yield tables of up to `max_rows` rows, the first one maybe empty."""
+    import pyarrow as pa  # slow to import, and optional
+    import pyarrow.parquet
+
+    row_count = 0
+    with readable(path, kind):
+        if kind == "Parquet":
+            with pa.parquet.ParquetFile(path, pre_buffer=False) as file:
+                _require_size(path, file.metadata.num_rows, file.metadata.num_columns)
+                yield file.schema_arrow.empty_table()
+                for batch in file.iter_batches(max_rows):
+                    yield pa.Table.from_batches([batch])
+            return
+        with pa.ipc.open_file(path) as file:
+            yield file.schema.empty_table()
+            for k in range(file.num_record_batches):
+                batch = file.get_batch(k)
+                row_count += batch.num_rows
+                _require_size(path, row_count, len(file.schema))
+                for first in range(0, batch.num_rows, max_rows):
+                    yield pa.Table.from_batches([batch.slice(first, max_rows)])
+
+
+def _require_size(path: Path, row_count: int, column_count: int) -> None:
+    require_columns(path, column_count)
+    if 8 * row_count * column_count > compute_max_bytes(path):
+        raise LogError(
+            f"{path}: has {row_count} rows of {column_count} columns, more than fits into the file."
+        )
