@@ -1,9 +1,14 @@
 """Functions that tests run in a child process."""
 
 import ctypes
+import os
+import socket
 import threading
+import time
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 
 def start_threads() -> int:
@@ -73,3 +78,60 @@ def use_java() -> str:
         ctypes.byref(machine), ctypes.byref(environment), ctypes.byref(given)
     )
     return "done" if code == 0 else f"code {code}"
+
+
+def yield_what_a_parser_can_do(
+    _parser: str, path: str, options: dict[str, Any]
+) -> Iterator[tuple[Any, list[bytes]]]:
+    """Yield the deeds that succeed in the child of a log, as a refusal's sentence."""
+    secret = options["secret"]
+    deeds: dict[str, Callable[[], object]] = {
+        "read the log": Path(path).read_bytes,
+        "read its neighbour": Path(secret).read_bytes,
+        "list its folder": lambda: list(Path(secret).parent.iterdir()),
+        "follow a link": lambda: _follow_link(secret),
+        "write the log": lambda: os.truncate(path, 0),
+        "write its neighbour": lambda: Path(secret).write_bytes(b""),
+        "write next to it": lambda: Path(path).with_name("new").write_bytes(b""),
+        "start a process": _fork,
+        "use the network": lambda: socket.socket().close(),
+    }
+    successes = [name for name, deed in deeds.items() if _succeeds(deed)]
+    yield {"refusal": {"sentence": ", ".join(successes), "code": "", "key": ""}}, []
+
+
+def _fork() -> None:
+    child = os.fork()
+    if child == 0:
+        os._exit(0)
+    os.waitpid(child, 0)
+
+
+def _follow_link(target: str) -> None:
+    Path("link").symlink_to(target)
+    try:
+        Path("link").read_bytes()
+    finally:
+        Path("link").unlink()
+
+
+def _succeeds(deed: Callable[[], object]) -> bool:
+    try:
+        deed()
+    except OSError:
+        return False
+    return True
+
+
+def end_as_a_parser(way: str, _path: str, _options: Any) -> Iterator[tuple[Any, list[bytes]]]:
+    """End, wait or take memory within a parser."""
+    way = way.partition(":")[2]
+    if way == "crash":
+        os.abort()
+    if way == "exit":
+        os._exit(3)
+    if way == "hang":
+        time.sleep(1000.0)
+    if way == "memory":
+        bytearray(1 << 40)
+    yield {}, []

@@ -15,6 +15,7 @@ from hesr_model.support.arrays import Array
 from hesr_model.support.child_main import Item
 
 _BATCH_ROWS = 2**16  # rows read at once
+_NOT_A_TIME = np.iinfo(np.int64).min  # NumPy's NaT
 
 
 def parse(path: Path, *, kind: str) -> Iterator[Item]:
@@ -41,17 +42,39 @@ def _to_array(cells: Any) -> Array | TextCell:
     import pyarrow as pa
 
     kind = cells.type
-    is_time = pa.types.is_timestamp(kind) or pa.types.is_duration(kind)
-    if is_time or (pa.types.is_integer(kind) and not cells.null_count):
-        return np.asarray(cells.to_numpy())
+    if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
+        letter = "M" if pa.types.is_timestamp(kind) else "m"
+        counts = _copy_numbers(cells.cast(pa.int64()), "int64", _NOT_A_TIME)
+        return counts.view(f"{letter}8[{kind.unit}]")
+    if pa.types.is_integer(kind) and not cells.null_count:
+        return _copy_numbers(cells, str(kind), 0)
     with suppress(pa.ArrowException):
-        return np.asarray(cells.cast(pa.float64(), safe=False).to_numpy(), dtype=float)
+        return _copy_numbers(cells.cast(pa.float64(), safe=False), "float64", np.nan)
     column = Column()
     try:
         column.add(["" if cell is None else str(cell) for cell in cells.to_pylist()])
     except Exception:  # Python cannot show every date
         return TextCell(index=0, text=str(kind))
     return column.concatenate()
+
+
+def _copy_numbers(cells: Any, kind: str, missing: float) -> Array:
+    """Return a column of numbers, from its memory: `to_numpy` would import pandas."""
+    import pyarrow as pa
+
+    parts = [np.empty(0, kind)]
+    for chunk in filter(len, cells.chunks):
+        is_missing = chunk.is_null().cast(pa.uint8())
+        part = _view_memory(chunk, kind).copy()
+        part[_view_memory(is_missing, "bool")] = missing
+        parts.append(part)
+    return np.concatenate(parts)
+
+
+def _view_memory(chunk: Any, kind: str) -> Array:
+    array_type = np.dtype(kind)
+    memory = chunk.buffers()[1]
+    return np.frombuffer(memory, array_type, len(chunk), chunk.offset * array_type.itemsize)
 
 
 def _read_batches(path: Path, kind: str, max_rows: int) -> Iterator[Any]:
@@ -64,12 +87,12 @@ def _read_batches(path: Path, kind: str, max_rows: int) -> Iterator[Any]:
         if kind == "Parquet":
             with pa.parquet.ParquetFile(path, pre_buffer=False) as file:
                 _require_size(path, file.metadata.num_rows, file.metadata.num_columns)
-                yield file.schema_arrow.empty_table()
+                yield pa.Table.from_batches([], file.schema_arrow)
                 for batch in file.iter_batches(max_rows):
                     yield pa.Table.from_batches([batch])
             return
         with pa.ipc.open_file(path) as file:
-            yield file.schema.empty_table()
+            yield pa.Table.from_batches([], file.schema)
             for k in range(file.num_record_batches):
                 batch = file.get_batch(k)
                 row_count += batch.num_rows
