@@ -21,7 +21,7 @@ from hesr_model.support.text import escape
 
 _PARSE = "hesr_model.logs.parsers.items:parse"
 _SECONDS = 60.0  # for an item, and more for large files
-_SECONDS_PER_BYTE = 1e-6
+_SECONDS_PER_BYTE = 1e-7  # of the allowed memory
 _TOTAL_SECONDS = 24 * 3600.0  # for all items of a file
 _MEMORY = 2 << 30  # [B], and more for large files
 _TIME_UNITS = ("D", "h", "m", "s", "ms", "us", "ns")

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from containing import Containing
 
-from hesr_model.logs.readers.matlab import require_sound
+from hesr_model.logs.parsers.matlab import require_sound
 
 KNOWN = (1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 14, 16, 17, 18)
 SIZES = {0: 8, 1: 4, 2: 4, 3: 2, 4: 2, 5: 1}

@@ -59,7 +59,7 @@ def _to_array(cells: Any) -> Array | TextCell:
 
 
 def _copy_numbers(cells: Any, kind: str, missing: float) -> Array:
-    """Return a column of numbers, from its memory: `to_numpy` would import pandas."""
+    """Return a column of numbers, from its memory: Arrow would import pandas."""
     import pyarrow as pa
 
     parts = [np.empty(0, kind)]
