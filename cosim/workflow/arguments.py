@@ -358,12 +358,9 @@ def build_plant_body(robot: RobotArg, body: BodyArg | None) -> PlantBody:
 
 def read_model(law: LawArg) -> FrictionModel:
     """Return a friction model; a path or the name of a built-in model is read."""
-    from fmu_src import model_file
     from hesr_model.friction.model import FrictionModel
 
-    if isinstance(law, FrictionModel):
-        return law
-    return FrictionModel.read(model_file(str(to_path(law, "a friction model"))))
+    return law if isinstance(law, FrictionModel) else FrictionModel.read(law)
 
 
 def read_laws(laws: NamedLaws) -> list[Subject]:

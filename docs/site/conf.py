@@ -40,7 +40,7 @@ suppress_warnings = ["misc.highlighting_failure"]
 
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
-nb_execution_timeout = 120  # [s] only stops a kernel that hangs
+nb_execution_timeout = 600  # [s] only stops a kernel that hangs
 nb_execution_in_temp = True
 nb_merge_streams = True
 

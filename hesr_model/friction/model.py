@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.friction.band import LEVEL
+from hesr_model.friction.built_in import model_file
 from hesr_model.friction.expressions import CoefficientRow, CoefficientTable, LawExpressions
 from hesr_model.friction.law import FrictionLaw, add_low_pass, equations
 from hesr_model.friction.log_friction import (
@@ -171,12 +172,12 @@ class FrictionModel:
 
     @classmethod
     def read(cls, path: PathArg) -> Self:
-        """Read a friction model written by `write` or `hesr fit`.
+        """Read a friction model written by `write` or `hesr fit`, or uf850-table1.
 
         Raises ArtifactError if the file cannot be read, or a key or value is
         missing or invalid.
         """
-        path = to_path(path, "a friction model")
+        path = model_file(str(to_path(path, "a friction model")))
         return cls.from_json(read_json(path, MODEL_FORMAT), path)
 
     def write(self, path: PathArg) -> None:

@@ -3,7 +3,6 @@
 import re
 from collections.abc import Mapping, Sequence
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,12 +15,17 @@ from hesr_model.logs.log_table import LogTable
 from hesr_model.logs.rest import find_travelling
 from hesr_model.robots.description import RobotDescription
 from hesr_model.robots.model_file import find_arm, find_rest_positions, read_joints
-from hesr_model.robots.robot import RobotLike, describe_model, to_description
+from hesr_model.robots.robot import (
+    RobotLike,
+    describe_model,
+    find_robot_file,
+    to_description,
+)
 
 
 def is_model_path(robot: RobotLike) -> bool:
     """Return whether a robot is the path of a model file."""
-    return isinstance(robot, str | PathLike) and Path(robot).suffix.lower() != ".toml"
+    return isinstance(robot, str | PathLike) and find_robot_file(robot).suffix.lower() != ".toml"
 
 
 def select_joints(

@@ -31,6 +31,18 @@ _UNITS = {"q": "rad", "dq": "rad/s", "tau": "N.m", "temperature": "degC"}
 _UNITS |= {"q_link": "rad", "q_cmd": "rad", "dq_cmd": "rad/s"}
 
 
+class _LogRobot:
+    """Field of a log that takes its robot in any form and gives its description."""
+
+    def __get__(self, log: "Log | None", kind: type) -> RobotDescription | None:
+        """Return the description; of the class, the default None."""
+        return None if log is None else log.__dict__["robot"]
+
+    def __set__(self, log: "Log", robot: RobotLike | None) -> None:
+        """Read the description of a robot."""
+        log.__dict__["robot"] = None if robot is None else to_description(robot)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Log:
     """The record of one motion of a robot.
@@ -56,7 +68,8 @@ class Log:
         None if not logged.
     path, sha256 : file of the log, and its hash.
     dropped : number of rows left out, by `LogFormat.missing`.
-    robot : None if the log was not read from a file.
+    robot : description, also made of a robot file, URDF, MJCF, `Robot`, or the
+        name of a shipped robot; None if it is unknown.
     is_checked : True if the arrays fulfil these rules already, as those of
         readers do.
     """
@@ -74,7 +87,7 @@ class Log:
     path: Path | None = None
     sha256: str = ""
     dropped: int = 0
-    robot: RobotDescription | None = field(default=None, repr=False)
+    robot: _LogRobot = _LogRobot()
     is_checked: bool = field(default=False, repr=False)
 
     def __post_init__(self) -> None:

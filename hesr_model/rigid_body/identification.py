@@ -4,7 +4,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 import pydantic
@@ -26,6 +26,9 @@ from hesr_model.support.files import PathArg, to_path
 from hesr_model.support.frames import html_table
 from hesr_model.support.typed_files import Numbers, from_json, read_json, to_json, write_json
 from hesr_model.units import unit_of_joint
+
+if TYPE_CHECKING:
+    from hesr_model.rigid_body.residual import FrictionRecord
 
 RIGID_BODY_FORMAT = "hesr-rigid-body-1"
 Method = Literal["stacked", "paper"]
@@ -153,6 +156,29 @@ class RigidBody:
         tau_body = self.torque(model, motion)
         draw = plugins.find("hesr.objects", "plot-body")
         return draw(self.joints, model.slides, motion.t, motion.tau, tau_body)
+
+    def separate_friction(self, log: Log, robot: RobotLike | None = None) -> "list[FrictionRecord]":
+        """Return the friction of each joint in a log: torque less that of the bodies.
+
+        Parameters
+        ----------
+        log : motion of the robot.
+        robot : by default that of the log.
+
+        Returns
+        -------
+        list of FrictionRecord
+            For each joint arrays (N,): `t` [s], `q` [rad], `dq` [rad/s],
+            load `tau_load` and friction `tau` [N.m], not smoothed.
+
+        Raises
+        ------
+        LogError, RobotError
+            If the robot is unknown or another one.
+        """
+        from hesr_model.friction.log_friction import separate_friction
+
+        return separate_friction(log, self, robot)
 
     def torque(self, model: Robot, motion: Motion) -> Array:
         """Return the torque Y_b pi_b (eq. 6), (N, n) [N.m]; RobotError for another robot."""

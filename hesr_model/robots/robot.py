@@ -15,7 +15,7 @@ from hesr_model.robots.description import RobotDescription as RobotDescription
 from hesr_model.robots.transmission import LINEAR
 from hesr_model.robots.urdf import chain_limits, find_chain_doubts
 from hesr_model.support.arrays import Array, Mask
-from hesr_model.support.files import to_path
+from hesr_model.support.files import PathArg, models_folder, to_path
 
 LINK_PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 """Mass, first moments, and inertia about the origin of the link's joint frame."""
@@ -31,8 +31,9 @@ class Robot:
 
     Parameters
     ----------
-    source : path of a robot file (TOML), of a URDF or of an MJCF (``.xml``), or
-        a description.
+    source : path
+        Robot file (TOML), URDF or MJCF (``.xml``); a description; or the name
+        of a robot that ships: uf850, ur10, fretting, cylinder.
 
     Raises
     ------
@@ -323,7 +324,7 @@ class Robot:
 
 
 RobotLike = RobotDescription | Robot | str | PathLike[str]
-"""A robot, its description, or the path of a robot file (TOML), URDF or MJCF."""
+"""A robot, its description, the path of a robot file (TOML), URDF or MJCF, or a shipped robot."""
 
 
 def to_description(robot: RobotLike) -> RobotDescription:
@@ -332,9 +333,18 @@ def to_description(robot: RobotLike) -> RobotDescription:
         return robot.description
     if isinstance(robot, RobotDescription):
         return robot
-    path = to_path(robot, "a robot")
+    path = find_robot_file(robot)
     is_robot_file = path.suffix.lower() == ".toml"
     return RobotDescription.read(path) if is_robot_file else describe_model(path)
+
+
+def find_robot_file(robot: PathArg) -> Path:
+    """Return the file of a robot that ships with HESR, such as uf850, or else the path itself."""
+    path = to_path(robot, "a robot")
+    if path.suffix or path.exists():
+        return path
+    shipped_file = models_folder() / path / "robot.toml"
+    return shipped_file if shipped_file.is_file() else path
 
 
 def describe_model(path: Path, joints: Sequence[str] = ()) -> RobotDescription:

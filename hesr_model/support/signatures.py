@@ -19,6 +19,7 @@ _ONE = {
     "PathArg": "path",
     "RobotArg": "Robot | path",
     "RobotLike": "Robot | path",
+    "_LogRobot": "Robot | path | None",
     "LogArg": "Log | path",
     "LogSource": "Log | path",
     "BodyArg": "RigidBody | path",

@@ -1,20 +1,16 @@
 """Code blocks of the pages are valid: Python runs, TOML is read, command options exist."""
 
-import inspect
 import re
 import shlex
 import shutil
-import textwrap
 import tomllib
 from dataclasses import replace
 from pathlib import Path
 
 import click
-import numpy as np
 import pytest
 from documents import PAGES, ROOT, Block, blocks
 
-import hesr_model
 from fmu_src import export_fmu, model_file
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log
@@ -68,18 +64,6 @@ def test_some_blocks_are_run() -> None:
 def test_python_blocks_run(block: Block, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run(block.text, str(block))
     assert capsys.readouterr().out.strip()
-
-
-def test_the_package_example_runs(folder: Path) -> None:
-    documented = inspect.getdoc(hesr_model) or ""
-    example = documented.split("::\n", 1)[1]
-    lines = [line for line in example.splitlines() if line.startswith("    ") or not line]
-    (folder / "Friction.fmu").unlink()
-    names = run(textwrap.dedent("\n".join(lines)), "hesr_model")
-    tau = names["tau_f"]
-    assert isinstance(tau, np.ndarray)
-    assert tau.shape == (2000, 3)
-    assert (folder / "Friction.fmu").is_file()
 
 
 @pytest.mark.parametrize("block", blocks("toml"), ids=str)

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from joint_data import GEAR_RATIO, HX_BRISTLE, law
 
-from fmu_src import model_file
 from hesr_model.friction.law import FrictionLaw, coefficient_lines, equations, find_held
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
@@ -83,9 +82,7 @@ def test_the_text_matches_the_law_to_four_digits(name: str) -> None:
 
 
 def test_table_1_is_printed_as_in_the_paper() -> None:
-    first, second, third = (
-        equations(one) for one in FrictionModel.read(model_file("uf850-table1")).laws
-    )
+    first, second, third = (equations(one) for one in FrictionModel.read("uf850-table1").laws)
     for number in ("16.24", "0.163", "2.128", "37.7", "0.193", "0.606", "0.064", "0.057"):
         assert number in first[0], number
     assert "tanh(" in first[0]

@@ -18,10 +18,10 @@ from cosim.study.scores import LogRecords, predict_models, select_records, selec
 from cosim.study.steps import Job
 from cosim.study.study import Study, Twin
 from fmu_src.arm.truth import true_friction
-from fmu_src.friction.built_in import model_file
 from fmu_src.friction.friction_fmu import export_bare
 from hesr_model.errors import ArgumentError
 from hesr_model.fitting.fit import fit_models
+from hesr_model.friction.built_in import model_file
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.inference.comparison import law_errors

@@ -10,12 +10,12 @@ from scipy.special import stdtrit
 
 from cosim.loop.motions import FourierMotion, Motions
 from cosim.report.tables.table import joints, title
-from fmu_src.friction.built_in import model_file
 from hesr.extras.paper.evidence import TWIN, Case, Evidence, Number
 from hesr_model.audit.audit import audit
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.separable import Separable
+from hesr_model.friction.built_in import model_file
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
