@@ -21,6 +21,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.friction.records import rmse
 from hesr_model.friction.trained_range import TrainedRange
+from hesr_model.logs.rest import find_resting_speeds
 from hesr_model.logs.signals import near_reversals
 from hesr_model.robots.transmission import Coupling
 from hesr_model.support.arrays import Array
@@ -144,8 +145,11 @@ def torques(
 def errors(motion: "ReferenceMotion", torque: Array, truth: Array) -> tuple[Error, ...]:
     """Return the torque error of each joint against the truth, both (N, n) [N.m]."""
     joint_errors = []
-    for dq, difference in zip(motion.dq.T, (torque - truth).T, strict=True):
-        is_near = near_reversals(motion.t, dq)
+    resting_speeds = find_resting_speeds([motion.t], [motion.q], [motion.dq]).tolist()
+    for dq, difference, resting_speed in zip(
+        motion.dq.T, (torque - truth).T, resting_speeds, strict=True
+    ):
+        is_near = near_reversals(motion.t, dq, resting_speed)
         joint_errors.append(
             Error(
                 rmse=rmse(difference),

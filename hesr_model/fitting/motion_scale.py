@@ -1,8 +1,8 @@
-"""Fits of slow joints in a unit of length in which their peak is about 0.2 rad/s.
+"""Fits of slow and fast joints in a unit of length in which their peak is that of usual joints.
 
-Bounds, starts and thresholds of laws are those of usual joints: a fretting rig of 0.3 mm/s or a
-cylinder of 18 mm/s is outside them. What a slow joint's law learns is converted back by the units
-of its coefficients; forces and times stay.
+Bounds, starts and thresholds of laws are those of usual joints: a fretting rig of 0.3 mm/s, a
+cylinder of 18 mm/s or a motor of 1000 rad/s is outside them. What the law of such a joint learns is
+converted back by the units of its coefficients; forces and times stay.
 """
 
 import re
@@ -15,7 +15,7 @@ import numpy as np
 from hesr_model.fitting.estimator import Estimator, estimator
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.records import predict_record
-from hesr_model.logs.rest import MOVING, MOVING_SHARE
+from hesr_model.logs.rest import FAST_SHARE, MOVING, MOVING_SHARE
 from hesr_model.rigid_body.residual import FrictionRecord, find_resting_speed, require_reversals
 
 _LENGTH = re.compile(r"\brad(\d*)")
@@ -53,15 +53,21 @@ def fit_in_own_units(
 
 
 def find_motion_scale(joint_records: Sequence[FrictionRecord]) -> float:
-    """Return the factor that brings a slow joint's peak near 0.2 rad/s, 1 for rest or fast joints.
+    """Return the factor that brings a joint's peak to those of usual joints, 1 for these and rest.
 
-    A power of two keeps all digits, so that the same motion in other units gives the same fit.
+    A slow joint comes near the least of their peaks, 0.2 rad/s, a fast one near the largest,
+    10 rad/s. A power of two keeps all digits, so that the same motion in other units gives the same
+    fit.
     """
-    if find_resting_speed(joint_records) >= MOVING:
-        return 1.0
+    resting_speed = find_resting_speed(joint_records)
     peak = max(float(np.max(np.abs(record.dq))) for record in joint_records)
-    exponent = round(np.log2(MOVING / MOVING_SHARE / peak))
-    return float(2.0 ** max(exponent, 0))
+    if resting_speed < MOVING:
+        exponent = max(round(np.log2(MOVING / MOVING_SHARE / peak)), 0)
+    elif resting_speed > MOVING:
+        exponent = min(round(np.log2(MOVING / FAST_SHARE / peak)), 0)
+    else:
+        exponent = 0
+    return float(2.0**exponent)
 
 
 def scale_motion(record: FrictionRecord, scale: float) -> FrictionRecord:

@@ -7,14 +7,10 @@ from functools import cached_property
 import numpy as np
 
 from hesr_model.errors import LogError
+from hesr_model.fitting.joint_rows import ROUND_OFF
 from hesr_model.health.referee import Estimate
 from hesr_model.inference.covariance import standard_errors
-from hesr_model.logs.rest import (
-    MIN_TRAVEL,
-    MOVING,
-    find_resting_speeds,
-    find_resting_travel,
-)
+from hesr_model.logs.rest import find_resting_speeds, find_resting_travel
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth
 from hesr_model.robots.robot import Robot
@@ -46,8 +42,8 @@ class SmoothPart:
     a: Array
     dq: Array | None
     tau: Array
-    resting_travel: tuple[float, ...] | float = MIN_TRAVEL
-    resting_speeds: tuple[float, ...] | float = MOVING
+    resting_travel: tuple[float, ...] | float = 0.0
+    resting_speeds: tuple[float, ...] | float = 0.0
     settling: float = 0.0
 
     @cached_property
@@ -223,14 +219,14 @@ class TorqueFit:
 
     @property
     def r2(self) -> float:
-        """TorqueFits share of the torque's variance."""
+        """Explained share of the torque's variance."""
         return 1.0 - (self.residual / max(self.deviation, 1e-300)) ** 2
 
     @property
     def bears_gravity(self) -> bool:
         """Whether gravity is well above the residual."""
         size = self.gravity_size * max(1.0, abs(self.gravity.value))
-        return self.gravity_size > 1e-6 and size > 2.0 * self.residual
+        return self.gravity_size > ROUND_OFF * self.deviation and size > 2.0 * self.residual
 
 
 def fit_joint_torque(tau: Array, gravity: Array, inertial: Array, v: Array) -> TorqueFit:

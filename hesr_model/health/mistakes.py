@@ -251,8 +251,10 @@ def _estimate_gravity(rows: SupposedRows, robot: Robot, joints: list[int]) -> It
         block = np.zeros((len(tau), 3 + 3 * len(joints)))
         block[:, :3] = columns[:, :3]
         block[:, 3 + 3 * place : 6 + 3 * place] = columns[:, 3:]
-        row_blocks.append(block / max(residual_std, 1e-9))
-        targets.append(tau / max(residual_std, 1e-9))
+        # An exact fit must not outweigh all others.
+        noise = max(residual_std, ROUND_OFF * float(np.std(tau)), 1e-300)
+        row_blocks.append(block / noise)
+        targets.append(tau / noise)
     if not row_blocks:
         return
     gravity_estimate = np.linalg.lstsq(
@@ -505,7 +507,9 @@ def _compute_unexplained_share(rows: SupposedRows, robot: Robot, is_moving: Mask
     for j in np.flatnonzero(is_moving):
         tau = rows.tau[:, j]
         residual_rms = _compute_residual_rms(tau, torques, v, int(j))
-        shares[j] = residual_rms / max(float(np.std(tau)), 1e-12)
+        deviation = max(float(np.std(tau)), 1e-300)
+        # Exact fits differ by round-off, which is no gain.
+        shares[j] = residual_rms / deviation + ROUND_OFF
     return shares
 
 
@@ -529,4 +533,4 @@ def _build_columns(tau: Array, torques: ModelTorques, v: Array, j: int) -> Array
 def _compute_residual_rms(tau: Array, torques: ModelTorques, v: Array, j: int) -> float:
     columns = _build_columns(tau, torques, v, j)
     _, squares = non_negative_least_squares(columns, tau, non_negative=3)
-    return float(np.sqrt(max(squares, 0.0) / len(tau))) + 1e-9
+    return float(np.sqrt(max(squares, 0.0) / len(tau)))

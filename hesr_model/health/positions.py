@@ -31,7 +31,11 @@ _MIN_COARSE_NOISE = 0.1  # noise over the step of a rounded position, which is 0
 _MAX_SPEED_NOISE = 0.01  # noise of a velocity that rounding leaves, over the peak of the velocity
 _RIPPLE_QUANTILE = 0.8  # of the size of third differences
 _RIPPLE_ERRORS = 1.2816  # its size in standard deviations, of normal noise
-_MAX_SLIDING_TRAVEL = 100.0  # [m] of a joint in other units
+_MAX_LIMIT_WIDTHS = 10.0  # of travel of a sliding joint; that in mm is 1000 times too long
+# Travel over which gravity would accelerate to the peak speed, over the joint's own travel. Drives
+# of sliding joints reach 1 or 2; in mm it is 1000 times as large.
+_MAX_FALL_TO_TRAVEL = 5.0
+_EARTH_GRAVITY = 9.81
 _MAX_SATURATED_SHARE = 0.01  # share of rows at a limit of the drive
 _FINE_LEVELS = 200  # distinct values of a finely quantised torque
 _MIN_SATURATED_RUN = 5
@@ -311,11 +315,20 @@ def _correct_degrees(description: RobotDescription, is_rotary: Array) -> str | t
 
 
 def check_sliding(part: SmoothPart, robot: Robot) -> Iterator[Hypothesis]:
-    """Doubt sliding joints that move as only millimetres can."""
+    """Doubt sliding joints that move as only millimetres can.
+
+    They travel by many widths of their limits, or reach speeds that a fall of many times their
+    travel would give.
+    """
     units = robot.description.log.units
+    lower, upper, _ = robot.limits
     travel = np.ptp(part.q, axis=0)
     speed = np.max(np.abs(part.v), axis=0)
-    for j in np.flatnonzero(np.array(robot.slides) & (travel > _MAX_SLIDING_TRAVEL)):
+    fall = speed**2 / (2.0 * _EARTH_GRAVITY)
+    is_beyond = (travel > _MAX_LIMIT_WIDTHS * (upper - lower)) | (
+        fall > _MAX_FALL_TO_TRAVEL * travel
+    )
+    for j in np.flatnonzero(np.array(robot.slides) & is_beyond):
         is_only_unit = all(robot.slides) and units.expand_per_joint("q", robot.n)[j] in ("m", "rad")
         changes = {"log.units.q": "mm"} if is_only_unit else {}
         if changes and part.dq is not None:

@@ -464,7 +464,7 @@ def estimate_stamp_rate(rows: LagRows, joints: Sequence[int]) -> tuple[float, fl
         )
         body_columns = residuals[:, 1 : 1 + column_count] + residuals[:, 1 + column_count :]
         joint_tables.append(
-            residuals / max(float(np.std(_project_out(body_columns, residuals[:, :1]))), 1e-12)
+            residuals / max(float(np.std(_project_out(body_columns, residuals[:, :1]))), 1e-300)
         )
     table = np.concatenate(joint_tables)
     # The triangular factor suffices.

@@ -573,14 +573,14 @@ _SPEED_WINDOW = 0.1  # averaging window of a speed [s]
 _MIN_MOVING_TO_RESTING = 2.5  # speed of a moving joint over the speed at which it rests
 _FINE_LEVELS = 200  # distinct values of a finely quantised signal
 _MAX_HELD_SHARE = 0.3  # share of repeated rows
-_MIN_STUCK_TIME = 0.3
-_MIN_STUCK_ROWS = 15  # duration [s] and rows of a stuck signal
-_MIN_STUCK_TO_USUAL = 10.0
-_MIN_MOVING_SHARE = 0.25  # stuck run over others, its share in motion
+_MIN_STUCK_TIME = 0.3  # duration [s] of a stuck signal
+_MIN_STUCK_ROWS = 15
+_MIN_STUCK_TO_USUAL = 10.0  # stuck run over others
+_MIN_MOVING_SHARE = 0.25  # of a stuck run
 _MIN_SPIKE_TO_RANGE = 3.0  # torque spike over the range of other rows
 _ROWS_OF_A_CHANGE = 3  # before and after a sudden change of speed
-_MIN_SUDDEN_CHANGE = 0.3  # of the speed, over the larger of both
-_MIN_SUDDEN_SPEED = 0.03  # the larger of both, over the peak of the log
+_MIN_SUDDEN_CHANGE_SHARE = 0.3  # of the speed, over the larger of both
+_MIN_SUDDEN_SPEED_SHARE = 0.03  # the larger of both, over the peak of the log
 _MAX_SPEED_TO_LIMIT = 1.3  # speed over the limit; drives exceed it slightly
 
 
@@ -629,9 +629,9 @@ def _changes_speed(q: Array) -> Mask:
     speed_after = (q[after] - q[rows]) / (after - rows)
     local_peaks = np.maximum(np.abs(speed_before), np.abs(speed_after))
     # At a smooth reversal both speeds are small.
-    is_fast = local_peaks > _MIN_SUDDEN_SPEED * np.max(local_peaks, initial=0.0)
+    is_fast = local_peaks > _MIN_SUDDEN_SPEED_SHARE * np.max(local_peaks, initial=0.0)
     return np.asarray(
-        is_fast & (np.abs(speed_after - speed_before) > _MIN_SUDDEN_CHANGE * local_peaks)
+        is_fast & (np.abs(speed_after - speed_before) > _MIN_SUDDEN_CHANGE_SHARE * local_peaks)
     )
 
 

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hesr_model.errors import LogError
-from hesr_model.logs.rest import MOVING
+from hesr_model.logs.rest import MOVING, find_resting_speeds
 from hesr_model.logs.signals import Grid, moving, zero_phase
 from hesr_model.support.arrays import Array
 
@@ -221,17 +221,23 @@ class _Scales(NamedTuple):
     q_mean: Array
     q: Array
     dq: Array
+    resting_speeds: Array
 
     @classmethod
     def from_trajectories(cls, trajectories: Sequence[RobotMotion]) -> "_Scales":
         """Return the scales over the logs in which a joint moves, none below that of a rest."""
         joint_count = trajectories[0].q.shape[1]
+        resting_speeds = find_resting_speeds(
+            [trajectory.t for trajectory in trajectories],
+            [trajectory.q for trajectory in trajectories],
+            [trajectory.dq for trajectory in trajectories],
+        )
         q_squares = np.zeros(joint_count)
         dq_squares = np.zeros(joint_count)
         q_counts = np.zeros(joint_count)
         dq_counts = np.zeros(joint_count)
         for trajectory in trajectories:
-            is_moving = np.asarray(moving(trajectory.dq))
+            is_moving = moving(trajectory.dq, resting_speeds)
             moves = is_moving.any(axis=0)
             q_squares += moves * len(trajectory.t) * np.var(trajectory.q, axis=0)
             q_counts += moves * len(trajectory.t)
@@ -239,10 +245,13 @@ class _Scales(NamedTuple):
             dq_counts += np.count_nonzero(is_moving, axis=0)
         q_scale = np.sqrt(q_squares / np.maximum(q_counts, 1.0))
         dq_scale = np.sqrt(dq_squares / np.maximum(dq_counts, 1.0))
+        # A slow joint that moves has no scale of a joint at rest.
+        is_slow = resting_speeds < MOVING
         return cls(
             q_mean=np.mean(np.concatenate([trajectory.q for trajectory in trajectories]), axis=0),
-            q=np.maximum(q_scale, _MIN_TRAVEL),
-            dq=np.maximum(dq_scale, _MIN_SPEED),
+            q=np.where(is_slow, q_scale, np.maximum(q_scale, _MIN_TRAVEL)),
+            dq=np.where(is_slow, dq_scale, np.maximum(dq_scale, _MIN_SPEED)),
+            resting_speeds=resting_speeds,
         )
 
 
@@ -261,7 +270,7 @@ class _SearchedLog:
         self.stamps = np.arange(trajectory.t[0], trajectory.t[-1], 1.0 / _RATE)
         self.samples = np.asarray(self.spline(self.stamps))
         speeds = np.abs(self.samples[:, self.joint_count :]) * scales.dq
-        self.is_moving = np.any(speeds > MOVING, axis=1)
+        self.is_moving = np.any(speeds > scales.resting_speeds, axis=1)
 
     @cached_property
     def spectrum(self) -> Array:

@@ -1,8 +1,9 @@
 """Speeds at which a joint rests, by its own motion: what moves is told from noise.
 
-A joint that is faster than 0.2 rad/s (m/s) in any log rests below `MOVING`. A slower one, as a
-cylinder or a fretting rig, rests below a tenth of its peak, if its travel and its peak exceed what
-the noise of its position can feign.
+A joint rests below a share of its own peak speed: between `FAST_SHARE` and `MOVING_SHARE` of it, so
+that a cylinder, a fretting rig and a motor are judged alike. Between both the share is that of the
+usual speed `MOVING`, so that all joints of an arm rest alike. It travels if its positions exceed
+their noise and what other joints shake.
 """
 
 from collections.abc import Sequence
@@ -11,14 +12,18 @@ import numpy as np
 
 from hesr_model.support.arrays import Array, Mask
 
-MOVING = 0.02  # speed [rad/s, m/s] below which every joint rests
-MIN_TRAVEL = 5e-3  # travel [rad, m] that always exceeds the noise of a position
-MOVING_SHARE = 0.1  # of the peak speed
-_MIN_TRAVEL_TO_NOISE = 20.0  # of 1e5 rows of white noise the range is 9 standard deviations
+# Speed [rad/s, m/s] below which joints of usual speed rest. It decides nothing where it is more
+# than `MOVING_SHARE` or less than `FAST_SHARE` of a joint's own peak.
+MOVING = 0.02
+MOVING_SHARE = 0.1  # of the peak speed: no joint that moves rests above it
+FAST_SHARE = 0.002  # of the peak speed: every joint rests below it
+_MIN_TRAVEL_TO_NOISE = 10.0  # the inner 98 % of white noise span 4.7 standard deviations
+_MIN_RANGE_TO_NOISE = 20.0  # of 1e5 rows of white noise the range is 9 standard deviations
 _MIN_PEAK_TO_NOISE = 10.0
 _MIN_SPEED_TO_NOISE = 3.0
 _TRAVEL_QUANTILES = (0.01, 0.99)  # single wrong rows are no travel
-_WOBBLE_SHARE = 0.01  # of the largest travel of a robot: what other joints shake is not moved
+_WOBBLE_SHARE = 0.002  # of the largest travel of a robot: what other joints shake is not moved
+_RESTING_SHARE = 0.002  # of a joint's largest travel: a log with less does not move it
 # Of white noise behind a low pass of 15 Hz, which smooths logs by default: root mean square
 # frequency [rad/s] and bandwidth [Hz]. They follow from integrals of 1 / (1 + x^4)^2.
 _NOISE_FREQUENCY = 0.577 * 2.0 * np.pi * 15.0
@@ -36,46 +41,56 @@ def find_resting_speeds(t: Sequence[Array], q: Sequence[Array], dq: Sequence[Arr
 
     Returns
     -------
-    (n,) [rad/s, m/s], at most `MOVING`.
+    (n,) [rad/s, m/s].
     """
     peaks = np.max([np.max(np.abs(part), axis=0) for part in dq], axis=0)
+    usual_speeds = np.maximum(MOVING, FAST_SHARE * peaks)
     if np.all(MOVING_SHARE * peaks >= MOVING):
-        return np.full(len(peaks), MOVING)
+        return usual_speeds
     noise = _estimate_position_noise(q)
     period = float(np.median(np.concatenate([np.diff(part) for part in t])))
     noise_share = min(2.0 * _NOISE_BANDWIDTH * period, 1.0)  # that passes the low pass
     speed_noise = _NOISE_FREQUENCY * np.sqrt(noise_share) * noise
     is_moving = find_travelling(q) & (peaks > _MIN_PEAK_TO_NOISE * speed_noise)
     own_speeds = np.maximum(MOVING_SHARE * peaks, _MIN_SPEED_TO_NOISE * speed_noise)
-    return np.where(is_moving, np.minimum(MOVING, own_speeds), MOVING)
+    return np.where(is_moving, np.minimum(usual_speeds, own_speeds), usual_speeds)
 
 
 def find_resting_travel(q: Sequence[Array]) -> Array:
     """Return the travel (n,) [rad, m] up to which joints rest in a log, by all of the logs.
+
+    It is infinite for a joint that travels in none.
 
     Parameters
     ----------
     q : unsmoothed positions (N, n) of all logs.
     """
     travel = np.max([np.ptp(part, axis=0) for part in q], axis=0)
-    own_travel = np.minimum(MIN_TRAVEL, MOVING_SHARE * travel)
-    return np.where(find_travelling(q), own_travel, MIN_TRAVEL)
+    noise_travel = _MIN_RANGE_TO_NOISE * _estimate_position_noise(q)
+    # A fast motion in few rows looks like noise, but is most of the travel.
+    noise_travel = np.minimum(noise_travel, MOVING_SHARE * travel)
+    own_travel = np.maximum(noise_travel, _RESTING_SHARE * travel)
+    return np.where(find_travelling(q), own_travel, np.inf)
 
 
-def find_travelling(q: Sequence[Array]) -> Mask:
-    """Return whether each joint (n,) travels, by unsmoothed positions (N, n) of logs [rad, m].
+def find_travelling(q: Sequence[Array], travel: Array | None = None) -> Mask:
+    """Return whether each joint travels, by unsmoothed positions of logs.
 
-    It travels by more than `MIN_TRAVEL` in one of them, or clearly beyond the noise of its
-    position and beyond what the motion of other joints shakes.
+    It travels clearly beyond the noise of its position and beyond what the motion of other joints
+    shakes.
+
+    Parameters
+    ----------
+    q : positions (N, n) [rad, m].
+    travel : ranges (n,) [rad, m] of logs of which `q` are pieces.
     """
-    travel = np.max([np.ptp(part, axis=0) for part in q], axis=0)
-    if np.all(travel > MIN_TRAVEL):
-        return np.ones(len(travel), dtype=bool)
     quantiles = [np.quantile(part, _TRAVEL_QUANTILES, axis=0) for part in q]
     usual_travel = np.max([upper - lower for lower, upper in quantiles], axis=0)
+    if travel is not None:
+        usual_travel = np.maximum(usual_travel, travel)
     exceeds_noise = usual_travel > _MIN_TRAVEL_TO_NOISE * _estimate_position_noise(q)
-    exceeds_wobble = usual_travel > _WOBBLE_SHARE * np.max(travel)
-    return np.asarray((travel > MIN_TRAVEL) | (exceeds_noise & exceeds_wobble))
+    exceeds_wobble = usual_travel > _WOBBLE_SHARE * np.max(usual_travel)
+    return np.asarray(exceeds_noise & exceeds_wobble)
 
 
 def moves_both_ways(q: Array) -> bool:
@@ -87,7 +102,7 @@ def moves_both_ways(q: Array) -> bool:
     rise = float(np.max(q - np.minimum.accumulate(q)))
     fall = float(np.max(np.maximum.accumulate(q) - q))
     noise = float(_estimate_position_noise([q[:, None]])[0])
-    return min(rise, fall) > _MIN_TRAVEL_TO_NOISE * noise
+    return min(rise, fall) > _MIN_RANGE_TO_NOISE * noise
 
 
 def _estimate_position_noise(q: Sequence[Array]) -> Array:

@@ -12,7 +12,7 @@ from hesr_model.errors import LogError
 from hesr_model.logs.log_arrays import MAX_NUMBER, SIGNALS, read_log_arrays
 from hesr_model.logs.readers.formats import find_format
 from hesr_model.logs.readers.samples import LogSamples
-from hesr_model.logs.rest import MIN_TRAVEL, find_travelling
+from hesr_model.logs.rest import find_travelling
 from hesr_model.logs.tables import number_columns, write_table
 from hesr_model.robots.robot import RobotDescription, RobotLike, to_description
 from hesr_model.support import frames, plugins
@@ -27,6 +27,7 @@ _COUNTER_SIZES = (2.0**8, 1e3, 2.0**16, 1e6, 2.0**24, 1e9, 2.0**31, 2.0**32)  # 
 _CLOCK_SIZES = (60.0, 3600.0, 43_200.0, 86_400.0)  # [s] after which a clock shows the same time
 _MIN_TWIST = 1e-12
 _MAX_TWIST = 0.1  # of a gear [rad], and over the joint's motion
+_USUAL_TWIST = 5e-3  # [rad] of a gear whose joint hardly moves
 _UNITS = {"q": "rad", "dq": "rad/s", "tau": "N.m", "temperature": "degC"}
 _UNITS |= {"q_link": "rad", "q_cmd": "rad", "dq_cmd": "rad/s"}
 
@@ -342,16 +343,8 @@ def require_moving(logs: Sequence[Log], joints: Sequence[str]) -> None:
     require_travel(", ".join(log.where for log in logs), travel, joints, find_travelling(q))
 
 
-def require_travel(
-    where: str, travel: Array, joints: Sequence[str], is_travelling: Mask | None = None
-) -> None:
-    """Raise LogError if the `travel` (n,) [rad, m] of a joint is that of noise.
-
-    `is_travelling` (n,) are the joints whose positions tell so; by default it is what exceeds
-    `MIN_TRAVEL`.
-    """
-    if is_travelling is None:
-        is_travelling = travel >= MIN_TRAVEL
+def require_travel(where: str, travel: Array, joints: Sequence[str], is_travelling: Mask) -> None:
+    """Raise LogError if the `travel` (n,) [rad, m] of a joint is not `is_travelling` (n,)."""
     for joint, joint_travel, travels in zip(joints, travel, is_travelling, strict=True):
         if not travels:
             raise LogError(
@@ -406,7 +399,7 @@ def _convert_q_link(
     for joint, twist, q_std in zip(
         description.joints, np.std(q - q_link, 0), np.std(q, 0), strict=True
     ):
-        if not _MIN_TWIST < twist < max(_MAX_TWIST * q_std, MIN_TRAVEL):
+        if not _MIN_TWIST < twist < max(_MAX_TWIST * q_std, _USUAL_TWIST):
             raise LogError(
                 f"{path}: the link encoder of joint '{joint}' does not show the twist of a gear "
                 f"(difference to the motor {twist:.2g} rad RMS, motion {q_std:.2g}); check columns "

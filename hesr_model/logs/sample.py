@@ -14,13 +14,13 @@ from itertools import count, groupby, pairwise
 
 import numpy as np
 
-from hesr_model.logs.rest import MOVING
+from hesr_model.logs.rest import find_resting_speeds
 from hesr_model.logs.signals import Motion, near_reversals
 from hesr_model.support.arrays import Array, join_records
 
 Stratum = tuple[int, str, int]  # joint, kind of condition, and octave
 WINDOW = 1.0  # length [s]; friction forgets its initial state
-_MAX_SPEED_OCTAVE = 8  # octaves of speed above `MOVING`; the last one is open
+_MAX_SPEED_OCTAVE = 8  # octaves of speed above rest; the last one is open
 _MIN_TORQUE_OCTAVE = -3
 _MAX_TORQUE_OCTAVE = 5  # octaves of torque around the first root mean square
 
@@ -45,11 +45,13 @@ class MotionSample:
         self._numbers = count()
         self._parts = count()
         self._torque_scales: Array | None = None
+        self._resting_speeds = np.empty(0)
 
     def add(self, motion: Motion, *, is_continuation: bool = False) -> None:
         """Offer a log, or a part between gaps, or rows that follow the last ones without a gap."""
         if self._torque_scales is None:
             self._torque_scales = np.maximum(np.sqrt(np.mean(motion.tau**2, axis=0)), 1e-12)
+            self._resting_speeds = find_resting_speeds([motion.t], [motion.q_raw], [motion.dq])
         part = self._windows[-1].part if is_continuation and self._windows else next(self._parts)
         for window, row_counts in self._cut(motion):
             self._stratum_rows.update(row_counts)
@@ -75,8 +77,15 @@ class MotionSample:
         joint_count = motion.q.shape[1]
         window_numbers = np.floor((t - t[0]) / WINDOW).astype(int)
         window_numbers = np.minimum(window_numbers, max(int((t[-1] - t[0]) / WINDOW) - 1, 0))
-        is_near = np.column_stack([near_reversals(t, dq) for dq in motion.dq.T])
-        speed_octaves = np.floor(np.log2(np.maximum(np.abs(motion.dq), 1e-12) / MOVING))
+        resting_speeds = self._resting_speeds
+        is_near = np.column_stack(
+            [
+                near_reversals(t, dq, resting_speed)
+                for dq, resting_speed in zip(motion.dq.T, resting_speeds.tolist(), strict=True)
+            ]
+        )
+        speed_ratios = np.abs(motion.dq) / resting_speeds
+        speed_octaves = np.floor(np.log2(np.maximum(speed_ratios, 1e-12)))
         speed_octaves = np.clip(speed_octaves, -1, _MAX_SPEED_OCTAVE).astype(int)  # -1 is rest
         relative_torque = np.maximum(np.abs(motion.tau), 1e-12) / self._torque_scales
         magnitude_octaves = (

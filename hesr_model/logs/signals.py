@@ -8,7 +8,7 @@ import numpy as np
 
 from hesr_model.equations.low_pass import low_pass_signals
 from hesr_model.errors import LogError
-from hesr_model.logs.rest import MOVING, find_resting_speeds
+from hesr_model.logs.rest import find_resting_speeds
 from hesr_model.logs.robot_log import Log, collect_parts
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, Integers, Mask, select_rows
@@ -17,12 +17,12 @@ REVERSAL_WINDOW = 0.1  # half width [s] of the window around a reversal
 _MIN_SETTLED_DURATION = 1.0  # [s] of a record whose ends are left out
 
 
-def moving(dq: Array, resting_speed: float | Array = MOVING) -> Mask:
+def moving(dq: Array, resting_speed: float | Array) -> Mask:
     """Return the rows of a velocity (N,) [rad/s] that are faster than a resting joint."""
     return np.asarray(np.abs(dq) > resting_speed)
 
 
-def reversals(dq: Array, resting_speed: float = MOVING) -> Integers:
+def reversals(dq: Array, resting_speed: float) -> Integers:
     """Return the rows of smallest |dq| at each change of sign, between moving rows."""
     rows = np.flatnonzero(moving(dq, resting_speed))
     sign_changes = np.flatnonzero(np.diff(np.sign(dq[rows])))
@@ -45,7 +45,7 @@ def find_settled_rows(t: Array) -> slice:
     return slice(first, last)
 
 
-def near_reversals(t: Array, dq: Array, resting_speed: float = MOVING) -> Mask:
+def near_reversals(t: Array, dq: Array, resting_speed: float) -> Mask:
     """Return the rows within `REVERSAL_WINDOW` of a reversal."""
     is_near = np.zeros(len(t), dtype=bool)
     for instant in t[reversals(dq, resting_speed)]:

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from hesr_model.inference.covariance import BLOCKS, Covariance, Gradients, covariance_of_parts
 from hesr_model.logs.long_log import LongLog
+from hesr_model.logs.rest import find_travelling
 from hesr_model.logs.robot_log import require_travel
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body import identification, least_squares, observations
@@ -164,7 +165,9 @@ def identify_long(logs: Sequence[LongLog], robot: Robot) -> identification.Rigid
     """Identify as `identification.identify` by the stacked method, with bounded memory."""
     log_names = dict.fromkeys(log.checked_pieces[0].where for log in logs)
     travel: Array = np.array([log.travel for log in logs]).max(axis=0)
-    require_travel(", ".join(log_names), travel, robot.description.joints)
+    pieces = [piece.q for log in logs for piece in log.checked_pieces]
+    is_travelling = find_travelling(pieces, travel)
+    require_travel(", ".join(log_names), travel, robot.description.joints, is_travelling)
 
     def motions() -> Iterator[Motion]:
         return chain.from_iterable(log.motions() for log in logs)

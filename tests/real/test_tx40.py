@@ -9,6 +9,7 @@ from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.friction.predictions import predict_fmu
 from hesr_model.fitting.fit import fit
 from hesr_model.inference.covariance import blocks_of_time
+from hesr_model.logs.rest import MOVING
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import moving
 from hesr_model.rigid_body.identification import identify
@@ -104,7 +105,7 @@ def test_bands_cover_left_out_blocks_at_the_joints(
         for held, record, low, high in zip(
             inside, records, *(end.T for end in model.predict_band(records)), strict=True
         ):
-            rows = (labels == k) & moving(record.dq)
+            rows = (labels == k) & moving(record.dq, MOVING)
             held.append(((record.tau >= low) & (record.tau <= high))[rows])
     shares = [float(np.concatenate(held).mean()) for held in inside]
     assert all(0.92 <= share <= 0.98 for share in shares), shares

@@ -9,6 +9,7 @@ import pytest
 
 from cosim.study.scores import transpose_records
 from hesr_model.fitting.fit import fit_models
+from hesr_model.logs.rest import MOVING
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import moving, near_reversals
 from hesr_model.rigid_body.identification import RigidBody, identify
@@ -44,8 +45,8 @@ def test_a_band_has_its_stated_coverage(
             held.append((r.tau >= lower[:, k]) & (r.tau <= upper[:, k]))
             width.append((upper - lower)[:, k] / 2.0)
             error.append(np.abs(r.tau - torque[:, k]))
-            slow.append(~moving(r.dq))
-            near.append(near_reversals(r.t, r.dq))
+            slow.append(~moving(r.dq, MOVING))
+            near.append(near_reversals(r.t, r.dq, MOVING))
         inside, rests, reversals = map(np.concatenate, (held, slow, near))
         share = float(inside.mean())
         constant = float(np.quantile(np.concatenate(error), share))

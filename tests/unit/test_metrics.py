@@ -8,6 +8,7 @@ from hesr_model.friction.records import (
     score_band,
     time_band,
 )
+from hesr_model.logs.rest import MOVING
 from hesr_model.logs.signals import near_reversals, reversals
 from hesr_model.rigid_body.residual import FrictionRecord
 
@@ -19,7 +20,7 @@ def record(t: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> FrictionRecord:
 
 def test_a_reversal_lies_at_the_smallest_speed_between() -> None:
     dq = np.array([0.5, 0.1, 0.015, -0.004, 0.003, -0.01, -0.1, -0.5, -0.03, 0.021])
-    np.testing.assert_array_equal(reversals(dq), [4, 9])
+    np.testing.assert_array_equal(reversals(dq, MOVING), [4, 9])
 
 
 @pytest.mark.parametrize(
@@ -32,14 +33,14 @@ def test_a_reversal_lies_at_the_smallest_speed_between() -> None:
     ],
 )
 def test_a_rest_is_not_a_reversal(dq: list[float]) -> None:
-    assert len(reversals(np.array(dq))) == 0
+    assert len(reversals(np.array(dq), MOVING)) == 0
 
 
 @given(st.lists(st.floats(-1, 1), min_size=2, max_size=40))
 def test_reversals_are_symmetric_in_sign_and_one_per_change(values: list[float]) -> None:
     dq = np.array(values)
-    found = reversals(dq)
-    np.testing.assert_array_equal(found, reversals(-dq))
+    found = reversals(dq, MOVING)
+    np.testing.assert_array_equal(found, reversals(-dq, MOVING))
     signs = np.sign(dq[np.abs(dq) > 0.02])
     assert len(found) == np.count_nonzero(np.diff(signs))
     assert np.all(np.diff(found) >= 0)
@@ -47,7 +48,7 @@ def test_reversals_are_symmetric_in_sign_and_one_per_change(values: list[float])
 
 def test_windows_extend_a_tenth_of_a_second_to_either_side() -> None:
     t = np.arange(0, 2, 0.01) + 5.0
-    near = near_reversals(t, np.cos(np.pi * (t - 5.0) + 1e-9))
+    near = near_reversals(t, np.cos(np.pi * (t - 5.0) + 1e-9), MOVING)
     expected = (np.abs(t - 5.5) < 0.1001) | (np.abs(t - 6.5) < 0.1001)
     np.testing.assert_array_equal(near, expected)
 

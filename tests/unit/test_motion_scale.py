@@ -57,7 +57,8 @@ def build_record(*, is_prismatic: bool = False, gear_ratio: float | None = None)
 def test_joints_of_usual_speed_and_joints_at_rest_keep_their_units() -> None:
     record = build_record()
     assert find_motion_scale([record]) == 1.0
-    assert find_motion_scale([scale_motion(record, 100.0)]) == 1.0
+    assert find_motion_scale([scale_motion(record, 39.0)]) == 1.0
+    assert find_motion_scale([scale_motion(record, 40.0 * SCALE)]) == 1.0 / SCALE
     assert find_motion_scale([scale_motion(record, 1.0 / SCALE)]) == SCALE
     noise = 1e-5 * np.random.default_rng(0).standard_normal(len(record.t))
     assert find_motion_scale([replace(record, q=noise, dq=np.gradient(noise, 0.01))]) == 1.0

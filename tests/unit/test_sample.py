@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hesr_model.logs.rest import MOVING
 from hesr_model.logs.sample import MotionSample
 from hesr_model.logs.signals import Motion, moving, reversals
 from hesr_model.support.arrays import get_arrays
@@ -63,9 +64,9 @@ def test_rare_motions_are_kept(days: list[Motion]) -> None:
     kept = sampled(days, 4000)
     assert 3500 < sum(len(motion.t) for motion in kept) <= 4000
     dq = np.concatenate([motion.dq[:, 0] for motion in kept])
-    assert np.sum(~moving(dq)) == 200
+    assert np.sum(~moving(dq, MOVING)) == 200
     assert np.sum(dq < 0.0) == 400
-    assert sum(len(reversals(motion.dq[:, 0])) for motion in kept) == 2
+    assert sum(len(reversals(motion.dq[:, 0], MOVING)) for motion in kept) == 2
     assert len({motion.name for motion in kept}) > 5  # common motions come from several days
 
 

@@ -224,13 +224,17 @@ def test_limits_of_a_model_are_compared_with_its_log(mistake: str, model: Robot)
     assert check in checks(spoil(wrong)(model))
 
 
-@pytest.mark.parametrize(("length", "is_reported"), [(90.0, False), (110.0, True)])
+@pytest.mark.parametrize(
+    ("length", "speed", "is_reported"),
+    [(19.0, 0.1, False), (21.0, 0.1, True), (0.2, 4.3, False), (0.2, 4.6, True)],
+)
 def test_lengths_in_another_unit_are_reported(
-    length: float, is_reported: bool, model: Robot
+    length: float, speed: float, is_reported: bool, model: Robot
 ) -> None:
-    """A sliding joint does not travel 100 m."""
+    """A joint does not slide by ten widths of its limits, nor as after a fall of five strokes."""
     q = np.linspace([0.0, -1.0], [length, 1.0], 100)
-    found = check_sliding(as_part(replace(two_joints(100), q=q)), model)
+    v = np.linspace([-speed, 0.0], [0.5 * speed, 1.0], 100)
+    found = check_sliding(as_part(replace(two_joints(100), q=q), v=v), model)
     assert ("sliding-unit" in checks(found)) == is_reported
 
 
