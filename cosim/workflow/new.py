@@ -116,13 +116,16 @@ def new(
     numbers = _list_numbers(
         {"inertia": inertia, "moment": moment, "phase": phase, "gear_ratio": gear_ratio}
     )
-    _require_one_robot({"twin": twin or None, "public": public, "robot": robot, "bench": bench})
+    # The joints of a twin, and those of public logs, are those of its own robot.
+    others = {"robot": robot, "bench": bench, "joints": names or None}
+    _require_one_robot({"twin": twin or None, "public": public, **others})
+    if bench is None:
+        _refuse_bench_options(numbers, log, source, gravity=gravity)
     if twin:
         return start_twin(project_folder)
     if public is not None:
         return start_public(project_folder, to_path(public, "'public'"))
     if bench is None:
-        _refuse_bench_options(numbers, log, source, gravity=gravity)
         model_path = sample_model() if robot is None else to_path(robot, "'robot'")
         progress("making sample logs", 0, 1)
         project = start(project_folder, model_path, names)
@@ -140,7 +143,7 @@ def new(
 
 
 def _require_one_robot(robots: Mapping[str, Any]) -> None:
-    """Raise ArgumentError if `twin` or `public`, the first ones, is given with another robot."""
+    """Raise ArgumentError if `twin` or `public`, the first ones, is given with another argument."""
     stated = [name for name, value in robots.items() if value is not None]
     if len(stated) > 1 and stated[0] in ("twin", "public"):
         raise ArgumentError(f"'{stated[0]}' excludes '{stated[1]}'; it has a robot of its own.")
@@ -166,7 +169,11 @@ def _refuse_bench_options(
     options = {**numbers, "log": log, "source": source, "gravity": gravity or None}
     for name, value in options.items():
         if value is not None:
-            raise ArgumentError(f"'{name}' needs 'bench': other robots have a model file.")
+            raise ArgumentError(
+                f"'{name}' needs 'bench': other robots have a model file.",
+                code="new.bench_option",
+                key=name,
+            )
 
 
 def _require_bench(

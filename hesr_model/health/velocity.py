@@ -443,7 +443,7 @@ def _find_cause(
     unit_cause = _find_joint_unit(description, j, ratio, part, slides, concerns_all=concerns_all)
     if unit_cause is not None:
         return unit_cause
-    motor_cause = _find_motor_unit(description, j, ratio)
+    motor_cause = None if slides[j] else _find_motor_unit(description, j, ratio)
     if motor_cause is not None:
         return motor_cause
     if concerns_all:
