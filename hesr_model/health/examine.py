@@ -30,7 +30,11 @@ from hesr_model.logs.rest import moves_both_ways
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion, moving, reversals
 from hesr_model.rigid_body.identification import RigidBody, identify_motions
-from hesr_model.rigid_body.residual import FrictionRecord, transform_all_records
+from hesr_model.rigid_body.residual import (
+    FrictionRecord,
+    find_resting_speed,
+    transform_all_records,
+)
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.robots.transmission import transform_motion
 from hesr_model.support.arrays import Array, select_rows
@@ -108,6 +112,16 @@ def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | N
             hypotheses += add_log_name(part.log, efforts.check_speed(part, robot))
         hypotheses += add_log_name(part.log, positions.check_columns(part, description))
     hypotheses += _doubt_direction(parts, description)
+    for j, joint in enumerate(description.joints):
+        moving_parts = [part for part in measured_parts if part.is_moving[j]]
+        is_sliding = bool(slides) and slides[j]
+        hypotheses += omissions.doubt_one_speed(
+            joint,
+            unit_of_joint("rad/s", is_prismatic=is_sliding),
+            [part.t for part in moving_parts],
+            [part.v[:, j] for part in moving_parts],
+            moving_parts[0].find_resting_speed(j) if moving_parts else 0.0,
+        )
     judgement = judge(hypotheses)
     findings = list(judgement.findings)
     undecided = list(judgement.undecided)
@@ -524,8 +538,24 @@ def _find_least_inertia(body: RigidBody, robot: Robot) -> tuple[float, Array, in
 def check_laws(
     models: Mapping[str, FrictionModel], records: Sequence[Sequence[FrictionRecord]]
 ) -> list[Finding]:
-    """Check laws fitted to records [joint][log]; the baselines are there to be beaten."""
-    return state(_doubt_laws(models, transform_all_records(records)))
+    """Check laws fitted to records [joint][log]; the baselines are there to be beaten.
+
+    What the records cannot show of friction is advice.
+    """
+    friction_records = transform_all_records(records)
+    judgement = judge(_doubt_speeds(friction_records))
+    return [*state(_doubt_laws(models, friction_records)), *judgement.undecided]
+
+
+def _doubt_speeds(records: Sequence[Sequence[FrictionRecord]]) -> Iterator[Hypothesis]:
+    for joint_records in records:
+        yield from omissions.doubt_one_speed(
+            joint_records[0].joint,
+            unit_of_joint("rad/s", is_prismatic=joint_records[0].sliding),
+            [record.t for record in joint_records],
+            [record.dq for record in joint_records],
+            find_resting_speed(joint_records),
+        )
 
 
 def _doubt_laws(

@@ -1,11 +1,12 @@
-"""What a log leaves out: the sign of a torque, or the position."""
+"""What a log leaves out: the sign of a torque, the position, or other speeds."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from hesr_model.health.evidence import ModelTorques, SmoothPart
 from hesr_model.health.referee import Hypothesis, LeftOutRows, Race
+from hesr_model.logs.signals import moving, reversals
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.arrays import Array
 
@@ -14,6 +15,10 @@ _KNEE_SHARES = (0.003, 0.01, 0.03, 0.1)  # speeds, over the peak, up to which fr
 _ROUNDS = 8  # after which the signs of a torque do not change any more
 _SIGN_QUANTILES = (0.01, 0.99)
 _MIN_GRAVITY_SHARE = 0.01  # of the torque, above which the zero of a position matters
+_STROKE_COUNT = 10  # parts of a stroke, in each of which noise of the velocity averages out
+_MIN_PART_COUNT = 5  # in one direction, which tell its speeds
+_SPEED_QUANTILES = (0.15, 0.85)  # of parts in motion; those of starts and stops differ
+_MAX_SPEED_RATIO = 1.15  # between these quantiles, within which there is one speed
 
 
 def check_signs(
@@ -122,3 +127,57 @@ def check_integral(
                 remedy="what depends on the angle is not learned",
                 severity="warning",
             )
+
+
+def doubt_one_speed(
+    joint: str,
+    unit: str,
+    times: Sequence[Array],
+    velocities: Sequence[Array],
+    resting_speed: float,
+) -> Iterator[Hypothesis]:
+    """Say that one speed shows the sum of Coulomb and viscous friction only.
+
+    A speed for each direction is no more: an offset takes their difference.
+
+    Parameters
+    ----------
+    joint : its name.
+    unit : of its speed.
+    times, velocities : of its logs, (N,) each.
+    resting_speed : up to which it rests.
+    """
+    speeds_by_direction: dict[float, list[float]] = {1.0: [], -1.0: []}
+    for t, v in zip(times, velocities, strict=True):
+        for speed in _average_strokes(t, v, resting_speed):
+            speeds_by_direction[float(np.sign(speed))].append(abs(speed))
+    usual_speeds = []
+    for speeds in speeds_by_direction.values():
+        if len(speeds) < _MIN_PART_COUNT:
+            continue
+        lower, upper = np.quantile(speeds, _SPEED_QUANTILES)
+        if upper > _MAX_SPEED_RATIO * lower:
+            return
+        usual_speeds.append(float(np.median(speeds)))
+    if not usual_speeds:
+        return
+    if max(usual_speeds) < _MAX_SPEED_RATIO * min(usual_speeds):
+        usual_speeds = [float(np.mean(usual_speeds))]
+    speed_text = " and ".join(f"{speed:.2g} {unit}" for speed in usual_speeds)
+    yield Hypothesis(
+        check="one-speed",
+        joint=joint,
+        observation=f"its friction at {speed_text} is the sum of Coulomb and viscous friction",
+        remedy="",
+        contradictions=("it moves at one speed in each direction, which cannot separate them",),
+        record="motion at several speeds",
+    )
+
+
+def _average_strokes(t: Array, v: Array, resting_speed: float) -> Iterator[float]:
+    """Yield mean velocities of the moving rows in parts of strokes, between reversals."""
+    for rows in np.split(np.arange(len(t)), reversals(v, resting_speed)):
+        for part_rows in np.array_split(rows, _STROKE_COUNT):
+            moving_rows = part_rows[moving(v[part_rows], resting_speed)]
+            if len(moving_rows) and 2 * len(moving_rows) > len(part_rows):
+                yield float(np.mean(v[moving_rows]))

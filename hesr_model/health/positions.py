@@ -120,6 +120,10 @@ def check_jumps(log: Log, description: RobotDescription) -> Iterator[Hypothesis]
     """Doubt raw positions with lost turns and single outliers."""
     is_near = np.diff(log.t) <= 3.0 * log.period
     is_travelling = find_travelling([log.q])
+    # The counts of a resting encoder are no spikes, as they are tiny next to the travel of others.
+    travel = np.ptp(log.q, axis=0)
+    largest_travel = np.max(travel[is_travelling], initial=0.0)
+    is_judged = is_travelling | ((travel > _MIN_SPIKE_SHARE * largest_travel) & is_travelling.any())
     for j, joint in enumerate(description.joints):
         steps = np.where(is_near, np.diff(log.q[:, j]), 0.0)
         turn_rows = np.flatnonzero(np.abs(np.abs(steps) - _TURN) < 0.1 * _TURN)
@@ -132,7 +136,7 @@ def check_jumps(log: Log, description: RobotDescription) -> Iterator[Hypothesis]
                 f"{log.t[turn_rows[0] + 1]:.4g} s",
                 remedy="the log wraps angles; unwrap them first (numpy.unwrap)",
             )
-        elif len(steps) > 2 and is_travelling[j]:  # the counts of a resting encoder are no spikes
+        elif len(steps) > 2 and is_judged[j]:
             yield from _doubt_single_row(log, j, joint, steps)
 
 

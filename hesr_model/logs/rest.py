@@ -46,14 +46,14 @@ def find_resting_speeds(t: Sequence[Array], q: Sequence[Array], dq: Sequence[Arr
     peaks = np.max([np.max(np.abs(part), axis=0) for part in dq], axis=0)
     usual_speeds = np.maximum(MOVING, FAST_SHARE * peaks)
     if np.all(MOVING_SHARE * peaks >= MOVING):
-        return usual_speeds
+        return np.asarray(usual_speeds)
     noise = _estimate_position_noise(q)
     period = float(np.median(np.concatenate([np.diff(part) for part in t])))
     noise_share = min(2.0 * _NOISE_BANDWIDTH * period, 1.0)  # that passes the low pass
     speed_noise = _NOISE_FREQUENCY * np.sqrt(noise_share) * noise
     is_moving = find_travelling(q) & (peaks > _MIN_PEAK_TO_NOISE * speed_noise)
     own_speeds = np.maximum(MOVING_SHARE * peaks, _MIN_SPEED_TO_NOISE * speed_noise)
-    return np.where(is_moving, np.minimum(usual_speeds, own_speeds), usual_speeds)
+    return np.asarray(np.where(is_moving, np.minimum(usual_speeds, own_speeds), usual_speeds))
 
 
 def find_resting_travel(q: Sequence[Array]) -> Array:

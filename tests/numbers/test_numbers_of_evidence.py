@@ -32,7 +32,7 @@ COUPLED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.5, 1.0))
 
 def part_of(log: Log) -> SmoothPart:
     (part,) = smooth_parts(log, 15.0)
-    return part
+    return replace(part, resting_travel=5e-3, resting_speeds=0.02)
 
 
 def test_explanations_of_a_torque(unchanged: Unchanged) -> None:

@@ -69,10 +69,29 @@ def test_other_folders_are_no_clone(tmp_path: Path) -> None:
     assert caught.value.code == "public.unknown"
 
 
-@pytest.mark.parametrize("other", [{"twin": True}, {"bench": "rotary"}, {"robot": "arm.urdf"}])
+@pytest.mark.parametrize(
+    "other", [{"twin": True}, {"bench": "rotary"}, {"robot": "arm.urdf"}, {"joints": "a"}]
+)
 def test_a_clone_excludes_other_robots(tmp_path: Path, other: dict[str, Any]) -> None:
     with pytest.raises(ArgumentError, match="public"):
         hesr.new(tmp_path / "ur10e", public=tmp_path, **other)
+
+
+@pytest.mark.parametrize("robot", [{"public": "clone"}, {"twin": True}, {"robot": "arm.urdf"}])
+@pytest.mark.parametrize(
+    "option",
+    [
+        {"inertia": 0.1}, {"gravity": True}, {"moment": 1.0}, {"phase": 0.0}, {"gear_ratio": 100.0},
+        {"log": {"rate": 100}}, {"source": "datasheet"},
+    ],
+)  # fmt: skip
+def test_options_of_a_bench_are_refused_next_to_other_robots(
+    tmp_path: Path, robot: dict[str, Any], option: dict[str, Any]
+) -> None:
+    with pytest.raises(ArgumentError) as caught:
+        hesr.new(tmp_path / "new", **robot, **option)
+    assert (caught.value.code, caught.value.key) == ("new.bench_option", *option)
+    assert not (tmp_path / "new").exists()
 
 
 def test_the_page_has_the_recorded_sources() -> None:

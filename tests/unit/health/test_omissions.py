@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 from rotor import describe_rotor, signals
 
-from hesr_model.health.examine import HealthError, check_logs, examine
+from hesr_model.fitting.fit import fit_models
+from hesr_model.health.examine import HealthError, check_laws, check_logs, examine
 from hesr_model.health.joints import apply_changes
+from hesr_model.health.omissions import doubt_one_speed
 from hesr_model.logs.long_log import LongLog
 from hesr_model.logs.robot_log import Log
+from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.robots.robot import Robot, RobotDescription
 
 SIGNALS = signals(30.0)
@@ -102,3 +105,46 @@ def test_a_start_that_gravity_depends_on_is_missed(tmp_path: Path) -> None:
     )
     findings = examine([log], description, Robot(description)).findings
     assert ("position-integral", "error") in {(f.check, f.severity) for f in findings}
+
+
+T = np.arange(0.0, 40.0, 1.0 / 200.0)
+TURNS = 2.0 * np.pi * T
+# Velocities, and whether they are one speed in each direction.
+SPEEDS: dict[str, tuple[np.ndarray, bool]] = {
+    "one reversal": (np.where(T < 20.0, 0.4, -0.4), True),
+    "strokes": (np.where((T // 10.0) % 2 < 1, 0.4, -0.4), True),
+    "one speed each way": (np.where((T // 10.0) % 2 < 1, 0.4, -0.5), True),
+    "one way": (np.full_like(T, 0.4), True),
+    "two speeds": (np.where((T // 10.0) % 2 < 1, 1.0, -1.0) * np.where(T < 20.0, 0.4, 0.5), False),
+    "staircase": (np.sign(np.sin(TURNS / 20.0)) * (0.1 + 0.2 * (T // 10.0)), False),
+    "sine": (0.4 * np.sin(0.5 * TURNS), False),
+    "ramps": (np.clip(1.2 * np.sin(0.2 * TURNS), -0.4, 0.4), False),
+    "rest": (np.zeros_like(T), False),
+}
+
+
+@pytest.mark.parametrize("size", [1e-4, 1.0, 1e3])
+@pytest.mark.parametrize("name", SPEEDS)
+def test_one_speed_cannot_separate_coulomb_and_viscous_friction(name: str, size: float) -> None:
+    velocity, is_one_speed = SPEEDS[name]
+    noise = 0.01 * np.random.default_rng(0).standard_normal(len(T))
+    hypotheses = list(doubt_one_speed("a", "rad/s", [T], [size * (velocity + noise)], 0.04 * size))
+    assert [hypothesis.outcome for hypothesis in hypotheses] == ["open"] * is_one_speed
+
+
+def test_a_fit_says_that_one_speed_cannot_separate_them() -> None:
+    noise = np.random.default_rng(0).normal(0.0, 0.02, len(T))
+    records = []
+    for name in ("strokes", "staircase"):
+        dq = SPEEDS[name][0]
+        tau = 0.3 * np.sign(dq) + 0.1 * dq + noise
+        q = np.cumsum(dq) / 200.0
+        zeros = np.zeros_like(T)
+        records.append(
+            FrictionRecord(log=name, joint="a", t=T, dq=dq, q=q, tau_load=zeros, tau=tau)
+        )
+    strokes, staircase = records
+    for joint_records, is_one_speed in (([strokes], True), ([strokes, staircase], False)):
+        models = fit_models(["coulomb_viscous"], [joint_records], robot="bench", seed=0)
+        checks = [finding.check for finding in check_laws(models, [joint_records])]
+        assert checks == ["one-speed"] * is_one_speed

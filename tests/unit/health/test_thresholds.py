@@ -56,6 +56,13 @@ def far_off(by: float) -> Log:
     return replace(log, q=at(log.q, 500, 0, log.q[500, 0] + by))
 
 
+def resting_but_once(by: float) -> Log:
+    """The second joint rests but for a row, by a share of what the first one travels."""
+    log = two_joints()
+    q = log.q * [1.0, 0.0]
+    return replace(log, q=at(q, 500, 1, by * np.ptp(q[:, 0])))
+
+
 def rounded(step: float) -> Log:
     """Positions of the first joint, whose speed is at most 1, in steps of one height."""
     log = two_joints()
@@ -125,6 +132,9 @@ LOGS: dict[str, tuple[str, Spoil, float, float]] = {
     "more than a turn": ("wrap", lambda x: check_jumps(leaping(x), TWO), 7.5, TURN),
     "a turn in a gap": ("wrap", lambda x: check_jumps(leaping(TURN, step=x), TWO), 0.04, 0.02),
     "one position": ("spikes", lambda x: check_jumps(far_off(x), TWO), 0.0, 0.07),
+    "one position of a resting joint": (
+        "spikes", lambda x: check_jumps(resting_but_once(x), TWO), 0.009, 0.02,
+    ),
     "height of steps": ("coarse", lambda x: check_steps(rounded(x), TWO), 1.1e-3, 1.5e-3),
     "count of steps": ("coarse", lambda x: check_steps(stairs(x), TWO), 18, 24),
     "rows of each step": ("coarse", lambda x: check_steps(even(x), TWO), 3, 12),
@@ -363,6 +373,13 @@ def test_the_cause_of_a_wrong_velocity_is_corrected(cause: str) -> None:
     findings = state(check_velocity(part, robot))
     found, *_ = (f for f in findings if f.check == "velocity-scale")
     assert dict(found.changes) == changes
+
+
+def test_a_sliding_joint_is_offered_no_unit_of_a_motor() -> None:
+    part = as_part(two_joints(len(V)), v=V, dq=V * [7.0 * RPM, 11.0 * RPM])
+    findings = state(check_velocity(part, GEARED, slides=(True, True)))
+    assert {finding.check for finding in findings} == {"velocity-scale"}
+    assert [dict(finding.changes) for finding in findings] == [{}, {}]
 
 
 @pytest.mark.parametrize(
