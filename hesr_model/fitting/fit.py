@@ -87,7 +87,7 @@ def fit_joint(
     if not smallest < largest < 1.0 / _MIN_TORQUE:
         raise FitError(
             f"joint '{joint_records[0].joint}': its friction torque reaches {largest:g}; law "
-            f"'{law_name}' cannot be fitted to it; see 'hesr inspect'."
+            f"'{law_name}' cannot be fitted to it; check the column and its unit."
         )
 
     def fit_law(records: Sequence[FrictionRecord]) -> FrictionLaw:

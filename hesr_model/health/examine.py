@@ -485,7 +485,7 @@ def _doubt_body(body: RigidBody, robot: Robot, usual_speeds: Array) -> Iterator[
         example = f"{lowest_eigenvalue:.2g}, for instance at q = {positions_text}"
         remedy = "the identified masses are not physically possible; use longer or faster logs"
         if not robot.description.known:  # which exclude it
-            remedy += ", or the body 'physical' ('hesr identify', key 'body' of a study)"
+            remedy += "; the physical body excludes such masses"
         yield Hypothesis(
             check="mass-matrix",
             joint=joints[j],
@@ -576,7 +576,8 @@ def _doubt_laws(
                     joint=joint,
                     observation=f"the error of the law {law_name}, {model.training_rmse[j]:.3g}, "
                     f"is no smaller than friction itself, {deviation:.3g}",
-                    remedy="the torque contains no friction to be fitted; see 'hesr inspect'",
+                    remedy="the torque contains no friction to be fitted; check its column and "
+                    "its unit",
                     severity="warning",
                 )
             yield from _doubt_ratio(law_name, joint, model.laws[j].values)

@@ -72,7 +72,7 @@ def check_time(log: Log, description: RobotDescription) -> Iterator[Hypothesis]:
             joint="",
             observation=f"{log.dropped} rows lack a number or repeat the time stamp of the row "
             "before",
-            remedy="they were left out ([log] missing = 'drop')",
+            remedy="they were left out, as the robot file says",
             severity="warning",
         )
 
@@ -177,7 +177,8 @@ def check_steps(log: Log, description: RobotDescription) -> Iterator[Hypothesis]
                 check="coarse",
                 joint=joint,
                 observation="its positions are whole numbers, as counts of an encoder are",
-                remedy="give the size of a count in rad or m as [log.units] q, or log more digits",
+                remedy="give the size of a count in rad or m as 'q' of [log.units], or log more "
+                "digits",
             )
             continue
         # All distances are whole steps, of which some are single.

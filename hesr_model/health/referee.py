@@ -209,7 +209,7 @@ def _add_settings(remedy: str, changes: Mapping[str, Any]) -> str:
         return remedy
     settings = format_settings(changes)
     if len(settings) > _MAX_SETTINGS_LENGTH:
-        settings = f"{', '.join(changes)} as 'hesr inspect --write' does"
+        settings = f"{', '.join(changes)} as an inspection proposes"
     return f"{remedy}; set {settings}"
 
 
