@@ -7,6 +7,7 @@ import numpy as np
 
 from hesr_model.health.evidence import ModelTorques, SmoothPart, friction_shape, smooth_parts
 from hesr_model.health.referee import LeftOutRows, Race
+from hesr_model.logs.rest import find_travelling
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot, RobotDescription
 
@@ -334,7 +335,8 @@ def _join(parts: list[SmoothPart], key: str) -> Array:
 def can_tell(mistake: Mistake, log: Log, spoilt: Log, j: int, robot: Robot) -> bool:
     """Return whether the true reading beats the planted one by three errors on left-out rows.
 
-    It does so at any joint that the mistake concerns.
+    It does so at any joint that the mistake concerns, or by the torques of all joints together,
+    since gravity and inertia of other joints depend on a position as well.
 
     Parameters
     ----------
@@ -344,7 +346,31 @@ def can_tell(mistake: Mistake, log: Log, spoilt: Log, j: int, robot: Robot) -> b
     robot : with the model of the bodies.
     """
     joints = range(j, min(j + mistake.joints, robot.n))
-    return any(_can_joint_tell(mistake, log, spoilt, number, robot) for number in joints)
+    if any(_can_joint_tell(mistake, log, spoilt, number, robot) for number in joints):
+        return True
+    return mistake.reading in ("torque", "scale") and _can_all_joints_tell(
+        mistake, log, spoilt, robot
+    )
+
+
+def _can_all_joints_tell(mistake: Mistake, log: Log, spoilt: Log, robot: Robot) -> bool:
+    fixes_scale = mistake.reading == "scale"
+    if fixes_scale and robot.description.known is not None:
+        return False  # the model's body is a placeholder
+    moving_joints = np.flatnonzero(find_travelling([log.q]) & (np.ptp(log.tau, axis=0) > 0.0))
+    totals = []
+    for each in (log, spoilt):
+        parts = smooth_parts(each, robot.description.log.filter_cutoff)
+        left_out = LeftOutRows.split([log.name] * len(parts), [part.t for part in parts])
+        totals.append(
+            sum(
+                _predict_torque(parts, robot, int(j), left_out, fixes_scale=fixes_scale)
+                for j in moving_joints
+            )
+        )
+    squares, rival_squares = totals
+    race = Race(rival="the planted one", rival_squares=rival_squares, squares=squares, min_gain=0.1)
+    return race.outcome == "won"
 
 
 def _can_joint_tell(mistake: Mistake, log: Log, spoilt: Log, j: int, robot: Robot) -> bool:

@@ -117,6 +117,7 @@ def test_planted_mistakes_are_found_and_cured_where_the_data_can_tell(tmp_path: 
     cured_count = len(outcomes.undone) + len(outcomes.equivalent) + len(outcomes.wrongly_cured)
     assert found_count >= MIN_FOUND * (found_count + len(outcomes.missed)), outcomes.missed
     assert len(outcomes.wrongly_cured) <= (1.0 - MIN_RIGHT) * cured_count, outcomes.wrongly_cured
+    assert outcomes.cured_untold == [], "the data cannot tell, but a cure was made"
 
 
 def _plant_mistakes(source: str, folder: Path) -> Outcomes:
