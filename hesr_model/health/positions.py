@@ -31,6 +31,7 @@ _MIN_COARSE_NOISE = 0.1  # noise over the step of a rounded position, which is 0
 _MAX_SPEED_NOISE = 0.01  # noise of a velocity that rounding leaves, over the peak of the velocity
 _RIPPLE_QUANTILE = 0.8  # of the size of third differences
 _RIPPLE_ERRORS = 1.2816  # its size in standard deviations, of normal noise
+_MAX_SLIDING_TRAVEL = 100.0  # [m] of a joint whose limits and speed do not tell its unit
 _MAX_LIMIT_WIDTHS = 10.0  # of travel of a sliding joint; that in mm is 1000 times too long
 # Travel over which gravity would accelerate to the peak speed, over the joint's own travel. Drives
 # of sliding joints reach 1 or 2; in mm it is 1000 times as large.
@@ -322,16 +323,18 @@ def _correct_degrees(description: RobotDescription, is_rotary: Array) -> str | t
 def check_sliding(part: SmoothPart, robot: Robot) -> Iterator[Hypothesis]:
     """Doubt sliding joints that move as only millimetres can.
 
-    They travel by many widths of their limits, or reach speeds that a fall of many times their
-    travel would give.
+    They travel by many widths of their limits, reach speeds that a fall of many times their travel
+    would give, or travel further than any robot: only a length contradicts a unit of length.
     """
     units = robot.description.log.units
     lower, upper, _ = robot.limits
     travel = np.ptp(part.q, axis=0)
     speed = np.max(np.abs(part.v), axis=0)
     fall = speed**2 / (2.0 * _EARTH_GRAVITY)
-    is_beyond = (travel > _MAX_LIMIT_WIDTHS * (upper - lower)) | (
-        fall > _MAX_FALL_TO_TRAVEL * travel
+    is_beyond = (
+        (travel > _MAX_LIMIT_WIDTHS * (upper - lower))
+        | (fall > _MAX_FALL_TO_TRAVEL * travel)
+        | (travel > _MAX_SLIDING_TRAVEL)
     )
     for j in np.flatnonzero(np.array(robot.slides) & is_beyond):
         is_only_unit = all(robot.slides) and units.expand_per_joint("q", robot.n)[j] in ("m", "rad")

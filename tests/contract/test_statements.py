@@ -45,6 +45,7 @@ WITH_UNIT = {
     ("mistakes", "_MIN_TILT"): "of a mounting; angles have no size of a robot",
     ("positions", "_TURN"): "the angle after which encoders wrap",
     ("velocity", "_MAX_ARM_TRAVEL"): "two turns; cables of arms allow no more",
+    ("positions", "_MAX_SLIDING_TRAVEL"): "only a length contradicts a unit of length",
     ("positions", "_PLAUSIBLE_PERIODS"): "only a period contradicts a unit of time",
     # Lags are those of clocks and filters, which do not know how large a robot is.
     ("velocity", "_MAX_LAG"): "end of a search",
