@@ -3,9 +3,9 @@ from hesr_model.fitting.estimator import registry as registry
 from hesr_model.fitting.fit import fit as fit
 from hesr_model.friction.model import FrictionModel as FrictionModel
 from hesr_model.logs.robot_log import Log as Log
+from hesr_model.rigid_body.friction_record import FrictionRecord as FrictionRecord
 from hesr_model.rigid_body.identification import RigidBody as RigidBody
 from hesr_model.rigid_body.identification import identify as identify
-from hesr_model.rigid_body.residual import FrictionRecord as FrictionRecord
 from hesr_model.rigid_body.residual import friction_records as friction_records
 from hesr_model.robots.robot import Robot as Robot
 from hesr_model.robots.robot import RobotDescription as RobotDescription

@@ -13,7 +13,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.laws.lugre import LuGreLoad
 from hesr_model.laws.stops.estimator import ParFamS
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import numpy as np
 from hesr_model.fitting.estimator import estimator
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 GEAR_RATIO = 101.0
 

@@ -14,7 +14,7 @@ from hesr_model.fitting.estimator import Estimator, registry
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 _ONE_OF_EACH_KIND = ("bam_m6", "strain_wave_bound", "gms")
 """Samples of the classic laws, which are available by name only; soak tests run all of them."""

@@ -21,8 +21,8 @@ from hesr_model.inference.left_out import LeftOutErrors
 from hesr_model.logs.readers.arrays import load_table
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.tables import read_table, write_table
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256

@@ -19,7 +19,7 @@ from hesr_model.inference.comparison import (
     LawErrors,
     law_errors,
 )
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.support.arrays import Array
 from hesr_model.support.frames import html_table, pandas_frame
 from hesr_model.support.progress import Progress, report_progress, silent

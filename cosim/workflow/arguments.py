@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from hesr_model.logs.long_log import LongLog
     from hesr_model.logs.robot_log import Log
     from hesr_model.logs.signals import Motion
+    from hesr_model.rigid_body.friction_record import FrictionRecord
     from hesr_model.rigid_body.identification import RigidBody
-    from hesr_model.rigid_body.residual import FrictionRecord
     from hesr_model.robots.robot import Robot, RobotDescription, RobotLike
 
     # One item of an argument.

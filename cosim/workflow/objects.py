@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from cosim.report.figures.chart import Panel
     from hesr_model.friction.model import FrictionModel
     from hesr_model.logs.robot_log import Log
-    from hesr_model.rigid_body.residual import FrictionRecord
+    from hesr_model.rigid_body.friction_record import FrictionRecord
     from hesr_model.support.arrays import Array
 
 

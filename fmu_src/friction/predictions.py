@@ -9,7 +9,8 @@ import numpy as np
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import first_states, record_start
-from hesr_model.rigid_body.residual import FrictionRecord, transform_records
+from hesr_model.rigid_body.friction_record import FrictionRecord
+from hesr_model.rigid_body.residual import transform_records
 from hesr_model.support.arrays import Array
 
 Records = Sequence[Sequence[FrictionRecord]]  # [joint][log]

@@ -21,7 +21,8 @@ from hesr_model.friction.band import LEVEL, REST, Band, find_rest_speed, shapes
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.records import predict_record
 from hesr_model.inference.covariance import blocks_of_time
-from hesr_model.rigid_body.residual import FrictionRecord, find_resting_speed
+from hesr_model.rigid_body.friction_record import FrictionRecord
+from hesr_model.rigid_body.residual import find_resting_speed
 from hesr_model.support.arrays import Array
 
 SLOW_SPEEDS = (0.01, 0.02, 0.04, 0.08, 0.16)  # [rad/s] candidates of v_slow, of usual joints

@@ -27,11 +27,8 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record, rmse, training_error
 from hesr_model.inference.covariance import Covariance
-from hesr_model.rigid_body.residual import (
-    FrictionRecord,
-    find_resting_speed,
-    transform_all_records,
-)
+from hesr_model.rigid_body.friction_record import FrictionRecord
+from hesr_model.rigid_body.residual import find_resting_speed, transform_all_records
 from hesr_model.support.arrays import Array, Integers
 
 Nuisance = Literal["offset", "level"]

@@ -17,7 +17,7 @@ from hesr_model.friction.inputs import TAU_LOAD
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.laws import ripple
 from hesr_model.laws.ripple import Ripple
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.support.arrays import Array
 from hesr_model.support.typed_files import to_json
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.friction.law import FrictionLaw, LawForm, form_lines
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.support import parallel, plugins
 
 

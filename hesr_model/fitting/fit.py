@@ -25,7 +25,8 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import training_error
 from hesr_model.friction.trained_range import TrainedRange
-from hesr_model.rigid_body.residual import FrictionRecord, transform_all_records
+from hesr_model.rigid_body.friction_record import FrictionRecord
+from hesr_model.rigid_body.residual import transform_all_records
 from hesr_model.support import parallel
 from hesr_model.support.files import provenance as source_of
 from hesr_model.support.files import scratch_folder

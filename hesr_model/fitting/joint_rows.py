@@ -19,7 +19,8 @@ from hesr_model.errors import FitError
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import SETTLING
 from hesr_model.inference.covariance import blocks_of_time
-from hesr_model.rigid_body.residual import FrictionRecord, require_reversals
+from hesr_model.rigid_body.friction_record import FrictionRecord
+from hesr_model.rigid_body.residual import require_reversals
 from hesr_model.support.arrays import Array, Integers, Mask
 
 

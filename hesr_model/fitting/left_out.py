@@ -21,9 +21,9 @@ from hesr_model.inference.choice import PLAIN
 from hesr_model.inference.folds import Fold, thin
 from hesr_model.inference.left_out import LeftOutErrors
 from hesr_model.logs.signals import Motion, reversals
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import (
-    FrictionRecord,
     find_resting_speed,
     motion_records,
     transform_all_records,

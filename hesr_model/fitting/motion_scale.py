@@ -16,7 +16,8 @@ from hesr_model.fitting.estimator import Estimator, estimator
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.records import predict_record
 from hesr_model.logs.rest import FAST_SHARE, MOVING, MOVING_SHARE
-from hesr_model.rigid_body.residual import FrictionRecord, find_resting_speed, require_reversals
+from hesr_model.rigid_body.friction_record import FrictionRecord
+from hesr_model.rigid_body.residual import find_resting_speed, require_reversals
 
 _LENGTH = re.compile(r"\brad(\d*)")
 _MAX_CHANGE = 1e-6  # of the largest torque: round-off of another unit, not a length in the form

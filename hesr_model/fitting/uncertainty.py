@@ -21,7 +21,7 @@ from hesr_model.inference.covariance import (
     covariance_of_fit,
     pool_covariances,
 )
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.support.arrays import Array, Integers
 
 MAX_COEFFICIENTS = 64  # coefficients of larger laws, networks, have no meaning

@@ -19,8 +19,9 @@ import numpy as np
 from hesr_model.errors import SimulationError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import LawStepper, compute_states
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.rigid_body.residual import FrictionRecord, transform_records
+from hesr_model.rigid_body.residual import transform_records
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, Mask
 

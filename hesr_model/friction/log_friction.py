@@ -7,8 +7,9 @@ import numpy as np
 from hesr_model.errors import LogError
 from hesr_model.friction.records import rmse
 from hesr_model.logs.robot_log import Log
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import RobotLike, to_robot
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import PathArg, to_path

@@ -28,8 +28,9 @@ from hesr_model.friction.records import predict_record
 from hesr_model.friction.thermal import Thermal
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.logs.robot_log import Log
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.rigid_body.residual import FrictionRecord, transform_records
+from hesr_model.rigid_body.residual import transform_records
 from hesr_model.robots.robot import RobotLike
 from hesr_model.robots.transmission import Coupling
 from hesr_model.support import plugins

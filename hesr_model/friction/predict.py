@@ -15,7 +15,7 @@ from hesr_model.errors import ArtifactError
 from hesr_model.friction.band import COVERAGE, LEVEL, LOWER, NUMBERS, UPPER, band_equations
 from hesr_model.friction.inputs import INPUTS, TORQUE
 from hesr_model.friction.law import FrictionLaw, LawForm
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.support.arrays import Array
 
 _PIECE_ROWS = 2048  # rows run for all joints before the next ones, to stay in the processor's cache

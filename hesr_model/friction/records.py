@@ -9,7 +9,8 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict, record_start
 from hesr_model.friction.thermal import Thermal
 from hesr_model.logs.signals import moving, near_reversals
-from hesr_model.rigid_body.residual import FrictionRecord, find_resting_speed
+from hesr_model.rigid_body.friction_record import FrictionRecord
+from hesr_model.rigid_body.residual import find_resting_speed
 from hesr_model.support.arrays import Array, Mask
 
 

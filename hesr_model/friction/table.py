@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hesr_model.errors import TableError
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.support.arrays import Array
 
 _EXPECTED_COLUMNS = "expected t, q, dq, load, or t, q1.., dq1.., load1.. of several joints"

@@ -27,7 +27,7 @@ from hesr_model.friction.thermal import (
     thermal_parameters,
     warmth,
 )
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.support.arrays import Array
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.inputs import INPUT_UNITS, MOVING
 from hesr_model.friction.thermal import TEMPERATURE, Thermal
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 Range = tuple[float, float]  # least and greatest value
 

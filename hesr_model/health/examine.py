@@ -29,12 +29,9 @@ from hesr_model.laws.lugre import STATIC_RATIO_BOUNDS
 from hesr_model.logs.rest import moves_both_ways
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion, moving, reversals
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.identification import RigidBody, identify_motions
-from hesr_model.rigid_body.residual import (
-    FrictionRecord,
-    find_resting_speed,
-    transform_all_records,
-)
+from hesr_model.rigid_body.residual import find_resting_speed, transform_all_records
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.robots.transmission import transform_motion
 from hesr_model.support.arrays import Array, select_rows

@@ -18,7 +18,7 @@ from hesr_model.fitting.estimator import Estimator, register
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.laws.stribeck import F_C, SIGMA_2, TAU_0
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.support.arrays import Array, find_independent_columns
 
 

@@ -23,7 +23,7 @@ from hesr_model.laws.parfam import calibrate
 from hesr_model.laws.parfam.calibrate import Cell
 from hesr_model.laws.parfam.family import hysteresis_state
 from hesr_model.laws.parfam.features import HysteresisFeatures
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.support.arrays import Array
 from hesr_model.support.progress import report_progress, step
 

@@ -4,7 +4,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 import pydantic
@@ -18,6 +18,7 @@ from hesr_model.rigid_body import observations
 from hesr_model.rigid_body import physical as consistent
 from hesr_model.rigid_body.base_parameters import known_columns, sample_regressor, unknown_columns
 from hesr_model.rigid_body.elasticity import FIXED, ElasticGear, add_gears, build_gears, gear_forms
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.least_squares import Block, Solution, estimate_covariance, solve
 from hesr_model.robots.robot import Robot, RobotLike, to_robot
 from hesr_model.support import plugins
@@ -26,9 +27,6 @@ from hesr_model.support.files import PathArg, to_path
 from hesr_model.support.frames import html_table
 from hesr_model.support.typed_files import Numbers, from_json, read_json, to_json, write_json
 from hesr_model.units import unit_of_joint
-
-if TYPE_CHECKING:
-    from hesr_model.rigid_body.residual import FrictionRecord
 
 RIGID_BODY_FORMAT = "hesr-rigid-body-1"
 Method = Literal["stacked", "paper"]
@@ -157,7 +155,7 @@ class RigidBody:
         draw = plugins.find("hesr.objects", "plot-body")
         return draw(self.joints, model.slides, motion.t, motion.tau, tau_body)
 
-    def separate_friction(self, log: Log, robot: RobotLike | None = None) -> "list[FrictionRecord]":
+    def separate_friction(self, log: Log, robot: RobotLike | None = None) -> list[FrictionRecord]:
         """Return the friction of each joint in a log: torque less that of the bodies.
 
         Parameters
@@ -176,9 +174,9 @@ class RigidBody:
         LogError, RobotError
             If the robot is unknown or another one.
         """
-        from hesr_model.friction.log_friction import separate_friction
-
-        return separate_friction(log, self, robot)
+        separate_friction = plugins.find("hesr.objects", "separate-friction")
+        records: list[FrictionRecord] = separate_friction(log, self, robot)
+        return records
 
     def torque(self, model: Robot, motion: Motion) -> Array:
         """Return the torque Y_b pi_b (eq. 6), (N, n) [N.m]; RobotError for another robot."""

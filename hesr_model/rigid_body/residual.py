@@ -1,7 +1,7 @@
 """Friction records: measured torque minus rigid-body torque (eq. 8)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,63 +10,11 @@ from hesr_model.errors import LogError
 from hesr_model.logs.rest import find_resting_speeds
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion, find_settled_rows, reversals, smooth
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot
-from hesr_model.robots.transmission import Coupling
-from hesr_model.support.arrays import Array, Mask, select_rows
+from hesr_model.support.arrays import Array
 from hesr_model.units import unit_of_joint
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FrictionRecord:
-    """Friction `tau` [N.m] of one joint in one log (eq. 8), unsmoothed, on the log's own rows.
-
-    t [s], smoothed dq [rad/s], raw q [rad] and rigid-body torque `tau_load` [N.m] are (N,).
-    `tau_load_spread` (N, r) is the error of `tau_load` for one standard deviation of each
-    independent error of the rigid body. `gear_ratio` is turns of the motor per turn of the joint. A
-    `sliding` joint has m and N. `temperature` is in degC. `coupling` is None if uncoupled, and
-    after `transform_records`. `dq_causal` is the velocity behind a causal low pass. In a cylinder,
-    whose `tau_load` is that of its pressures, `tau_body` is the force on the bodies.
-    """
-
-    log: str
-    joint: str
-    t: Array
-    dq: Array
-    q: Array
-    tau_load: Array
-    tau: Array
-    tau_load_spread: Array | None = None
-    gear_ratio: float | None = None
-    sliding: bool = False
-    temperature: Array | None = None
-    coupling: Coupling | None = None
-    dq_causal: Array | None = None
-    tau_body: Array | None = None
-
-    @property
-    def measured(self) -> Array:
-        """The whole torque (N,) [N.m]."""
-        return self.tau + self.of_bodies
-
-    @property
-    def of_bodies(self) -> Array:
-        """The torque that the rigid bodies need, (N,) [N.m]."""
-        return self.tau_load if self.tau_body is None else self.tau_body
-
-    @property
-    def causal(self) -> "FrictionRecord":
-        """The record with the velocity that a user of an FMU has, if known."""
-        return self if self.dq_causal is None else replace(self, dq=self.dq_causal)
-
-    @property
-    def motion(self) -> dict[str, Any]:
-        """Inputs of laws by name, (N,) each."""
-        return {name: getattr(self, name) for name in ("t", "dq", "q", "tau_load")}
-
-    def rows(self, rows: slice | Mask) -> "FrictionRecord":
-        """Return some of the rows."""
-        return select_rows(self, rows)
 
 
 def transform_records(log_records: Sequence[FrictionRecord]) -> list[FrictionRecord]:

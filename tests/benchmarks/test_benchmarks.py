@@ -30,7 +30,7 @@ from hesr_model.friction.predict import predict
 from hesr_model.laws.parfam import evolve, refine
 from hesr_model.laws.parfam.candidate import Candidate
 from hesr_model.laws.parfam.features import HysteresisFeatures
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.support.files import models_folder
 
 STEP, ROWS = 0.005, 4000

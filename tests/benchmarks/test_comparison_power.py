@@ -24,8 +24,9 @@ from hesr_model.fitting.estimator import registry
 from hesr_model.fitting.fit import fit_models
 from hesr_model.inference.comparison import LawErrors, law_errors
 from hesr_model.logs.robot_log import Log
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.identification import identify
-from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 

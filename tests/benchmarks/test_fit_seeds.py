@@ -9,7 +9,7 @@ import pytest
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.records import predict_record, rmse
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 SEEDS = range(10)
 Records = dict[str, list[FrictionRecord]]

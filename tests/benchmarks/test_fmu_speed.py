@@ -26,7 +26,7 @@ from fmu_src.run.trust import remember
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.model import FrictionModel
 from hesr_model.laws.stops.form import DEFLECTIONS
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 STEP = 0.005
 Tell = Callable[[str], None]

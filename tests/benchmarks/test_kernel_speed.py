@@ -28,7 +28,7 @@ from hesr_model.fitting.separable import Separable
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.support.compiler import compile_c
 
 Tell = Callable[[str], None]

@@ -23,8 +23,9 @@ from hesr_model.friction.predict import predict
 from hesr_model.friction.records import predict_record
 from hesr_model.motions.limits import MotionLimits
 from hesr_model.motions.trajectories import Trajectory
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.identification import identify
-from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 

@@ -35,7 +35,7 @@ from hesr_model.friction.predict import predict
 from hesr_model.friction.records import rmse
 from hesr_model.laws.lugre import DEFLECTION_BOUNDS, STATIC_RATIO_BOUNDS
 from hesr_model.laws.stribeck import VELOCITY_BOUNDS
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 if not hasattr(sysid, "optimize"):
     pytest.skip("mujoco.sysid needs the extra 'peer' of hesr", allow_module_level=True)

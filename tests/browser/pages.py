@@ -22,7 +22,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.health.proposal import inspect_logs
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 JOINTS = tuple(f"shoulder_number_{k}_joint" for k in range(1, 8))
 SWEEP = """

@@ -33,7 +33,12 @@ LEVELS = 10
 
 ONLY_IN = {
     "pinocchio": ("hesr_model/robots/*",),
-    "mujoco": ("hesr_model/robots/mjcf.py", "fmu_src/arm/*", "hesr/extras/view/*"),
+    "mujoco": (
+        "hesr_model/robots/mjcf.py",
+        "fmu_src/arm/*",
+        "hesr/extras/view/*",
+        "hesr/extras/reduction/creep.py",
+    ),
     "pythonfmu": ("fmu_src/arm/*",),
     "matplotlib": ("cosim/report/figures/*", "hesr/extras/*figures.py"),
     "bokeh": ("cosim/report/figures/zoom.py",),

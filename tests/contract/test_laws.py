@@ -26,7 +26,7 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import LawStepper, coefficient_array, predict
 from hesr_model.friction.records import rmse
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 EXACT_ENOUGH = 1e-12
 """Tolerance relative to the largest torque, for two lowerings of the same expressions."""

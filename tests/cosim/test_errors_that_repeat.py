@@ -20,7 +20,7 @@ from cosim.study.replicates import (
 )
 from cosim.study.scores import ORACLE
 from hesr_model.errors import ArtifactError
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.support.arrays import Array
 from hesr_model.support.typed_files import to_json, write_json
 

@@ -18,7 +18,7 @@ from hesr_model.errors import ArgumentError, ArtifactError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.logs.robot_log import Log
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.robots.robot import RobotDescription
 
 COULOMB = {"F_c": 3.0, "F_s": 3.0, "v_s": 0.1, "sigma_2": 1.5, "tau_0": 0.0}

@@ -17,7 +17,7 @@ from hesr_model.fitting import estimator
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 SOURCE = Path(__file__).parents[1] / "contract" / "maxwell_slip.py"
 DT = 0.005

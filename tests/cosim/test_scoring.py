@@ -28,7 +28,7 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.friction.records import rmse
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.support.typed_files import from_json, to_json
 
 BRISTLE = {

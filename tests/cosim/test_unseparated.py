@@ -7,7 +7,7 @@ import pytest
 
 from cosim.report.tables.scores import errors, separations
 from cosim.study.scores import Comparison, compare, find_unseparated
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 LOG_COUNT = 5
 SECONDS = 30.0

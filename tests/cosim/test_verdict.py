@@ -33,7 +33,7 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.inference.choice import JointChoice, LawChoice
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 JOINTS = ("base", "arm")
 

@@ -17,7 +17,7 @@ from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
 from hesr_model.laws.parfam import family
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 FEATURES = ["1", "dq", "h", "dh"]
 

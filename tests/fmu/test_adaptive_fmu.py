@@ -24,7 +24,7 @@ from hesr_model.errors import ExportError, SimulationError
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.thermal import Thermal
 from hesr_model.laws.stribeck import Stribeck
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 WARM = Thermal(coulomb=0.004, viscous=0.02, resistance=0.5, time_constant=30.0)
 MODEL = replace(model(lugre(), stops(), lugre()), thermal=(WARM,) * 3)

@@ -12,7 +12,7 @@ from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 TRUTH = law(
     "lugre_load",

@@ -19,7 +19,7 @@ from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.trained_range import TrainedRange, find_excess
 from hesr_model.laws.stops.form import SPEEDS
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 TRAINED = TrainedRange(
     sample_time=0.01, dq=(-1.0, 0.8), q=(-1.0, 2.0), tau_load=(-20.0, 30.0), tau=(-12.0, 20.0)

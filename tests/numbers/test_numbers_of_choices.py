@@ -23,7 +23,7 @@ from hesr_model.laws import ripple
 from hesr_model.laws.parfam import trial
 from hesr_model.laws.stops import search
 from hesr_model.rigid_body import identification, observations, payload
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 
 def test_search_spaces_of_all_laws(unchanged: Unchanged) -> None:

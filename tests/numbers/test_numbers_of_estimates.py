@@ -23,7 +23,7 @@ from hesr_model.inference.covariance import (
     standard_errors,
 )
 from hesr_model.logs.rest import MOVING
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 LUGRE = {"sigma_0": 500.0, "sigma_1": 0.5, "sigma_2": 4.5, "F_c": 7.5, "F_s": 10.0, "v_s": 0.12,
          "tau_0": 0.4, "mu": 0.03}  # fmt: skip

@@ -15,7 +15,7 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import compute_states, predict, predict_joints, record_start
 from hesr_model.laws.parfam import trial
 from hesr_model.laws.stops import estimator
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 LUGRE = {"sigma_0": 500.0, "sigma_1": 0.5, "sigma_2": 4.5, "F_c": 7.5, "F_s": 10.0, "v_s": 0.12,
          "tau_0": 0.4}  # fmt: skip

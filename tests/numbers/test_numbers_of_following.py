@@ -11,7 +11,7 @@ from hesr.extras.adaptive.monitor import Follower, watch
 from hesr.extras.thermal.thermal_fit import fit_thermal
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.thermal import Thermal
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 WARM = Thermal(
     coulomb=0.004, viscous=0.02, reference=30.0, resistance=0.3, time_constant=400.0, ambient=22.0

@@ -26,7 +26,7 @@ from hesr_model.laws.stops import search as terms
 from hesr_model.laws.stops.estimator import ParFamS
 from hesr_model.laws.stops.form import Structure, evaluate_viscous
 from hesr_model.laws.stops.search import build_dictionary, search
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 WHOLE = Structure(
     stops=(("1", 0), ("p", 1), ("load", 2), ("root", 3), ("plus", 4), ("minus", 5)),

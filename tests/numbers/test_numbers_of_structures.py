@@ -7,7 +7,7 @@ from unchanged import Unchanged
 from hesr_model.laws.parfam import family, trial
 from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.laws.parfam.laws import ParFamH, ParFamHX, ParFamV
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 STRUCTURES = {
     "paper": {"linear": ["1", "dq", "h", "dh"], "units": []},

@@ -12,7 +12,7 @@ from hesr_model.laws.parfam import calibrate, evolve, refine
 from hesr_model.laws.parfam.calibrate import Cell
 from hesr_model.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
 from hesr_model.laws.parfam.features import HysteresisFeatures
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 CELL = Cell(alpha=12.0, beta=25.0, cost=0.0)
 

@@ -27,7 +27,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.friction.thermal import Thermal
 from hesr_model.motions.trajectories import Fourier
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 

@@ -13,7 +13,7 @@ import pytest
 
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.predict import predict
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 STEP, ROWS = 0.005, 4000
 NOISE = {"joint1": 1.5, "joint2": 1.5, "joint3": 0.6}

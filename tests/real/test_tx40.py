@@ -12,8 +12,9 @@ from hesr_model.inference.covariance import blocks_of_time
 from hesr_model.logs.rest import MOVING
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import moving
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.identification import identify
-from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot, RobotDescription
 
 LOG = Path(__file__).parents[2].parent / "shared" / "data" / "tx40" / "tx40_first.csv"

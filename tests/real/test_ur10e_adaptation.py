@@ -11,8 +11,9 @@ from hesr_model.fitting.days import adapt, build_prior
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.identification import RigidBody, identify
-from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot, RobotDescription
 
 Records = list[list[FrictionRecord]]  # [joint][log]

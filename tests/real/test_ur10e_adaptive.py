@@ -11,8 +11,9 @@ from hesr.extras.adaptive.monitor import Follower
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.records import rmse
 from hesr_model.logs.robot_log import Log
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.identification import identify
-from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot, RobotDescription
 
 DAYS = (

@@ -37,7 +37,8 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth
-from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.rigid_body.friction_record import FrictionRecord
+from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot
 from hesr_model.support import parallel
 from hesr_model.support.progress import silent

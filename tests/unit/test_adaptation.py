@@ -17,7 +17,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record, rmse
 from hesr_model.friction.thermal import Thermal
 from hesr_model.inference.covariance import Covariance
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 TRUTH = true_law(
     "lugre", {}, sigma_0=2000.0, sigma_1=0.0, sigma_2=7.0, F_c=5.0, F_s=6.0, v_s=0.1, tau_0=0.5

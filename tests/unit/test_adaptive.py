@@ -14,7 +14,7 @@ from hesr_model.errors import ExportError, SimulationError
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.records import predict_record
 from hesr_model.laws.stribeck import Stribeck
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.robots.transmission import Coupling
 
 LAWS = [pytest.param(lugre, id="LuGre"), pytest.param(stops, id="ParFam-S")]

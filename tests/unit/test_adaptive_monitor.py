@@ -10,7 +10,7 @@ from containing import Containing
 from hesr.extras.adaptive.component import TUNING
 from hesr.extras.adaptive.monitor import Alarm, State, find_shared_signs, watch
 from hesr.extras.adaptive.page import Monitoring
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 MODEL = model(lugre(), lugre(), lugre())
 

@@ -14,7 +14,7 @@ from hesr_model.equations.component import Parameter
 from hesr_model.equations.stepping import Steps
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.records import rmse
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 WARM_UP = 1200.0
 """Time [s] after which 30 % of viscous and 10 % of Coulomb friction are lost."""

@@ -21,7 +21,7 @@ from hesr_model.friction.trained_range import TrainedRange, find_excess
 from hesr_model.laws.lugre import LuGre
 from hesr_model.laws.stribeck import Stribeck
 from hesr_model.logs.noise import standard_normal
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.support.files import models_folder
 from hesr_model.support.typed_files import from_json, to_json
 

@@ -9,7 +9,7 @@ from hesr_model.fitting.fit import fit_joint, fit_models
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
 from hesr_model.friction.records import rmse
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.support.arrays import Array
 
 T = 0.01 * np.arange(1000)

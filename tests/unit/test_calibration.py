@@ -12,7 +12,8 @@ from hesr_model.fitting.uncertainty import add_standard_errors
 from hesr_model.friction.band import REST, Band, shapes
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
-from hesr_model.rigid_body.residual import FrictionRecord, transform_records
+from hesr_model.rigid_body.friction_record import FrictionRecord
+from hesr_model.rigid_body.residual import transform_records
 from hesr_model.robots.transmission import Coupling
 
 TRUTH = law("strain_wave", {}, x_0=4e-3, mu_avg=0.12, mu_dif=0.03, F_c=5.0, sigma_2=7.0, tau_0=0.5)

@@ -20,7 +20,7 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.friction.trained_range import TrainedRange
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 NAMES = ("dahl_bound", "strain_wave_bound", *(f"bam_m{k}" for k in range(1, 7)), "gms")
 NUMBERS = {

@@ -17,7 +17,7 @@ from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.predict import predict, record_start
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 A, B, C, D = (Coefficient(name=n, unit="1", description=n) for n in "abcd")
 a, b, c, d = (k.symbol for k in (A, B, C, D))

@@ -28,8 +28,9 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import LawStepper, predict
 from hesr_model.logs.log_format import LogFormat
 from hesr_model.logs.robot_log import Log
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.identification import identify
-from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 

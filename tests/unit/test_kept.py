@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hesr_model.fitting.fit import compute_key, fit_models
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 LAWS = ("stribeck", "lugre")
 

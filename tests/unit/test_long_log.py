@@ -16,8 +16,8 @@ from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth_logs
 from hesr_model.logs.tables import import_arrow
 from hesr_model.rigid_body.accumulation import identify_long
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.identification import RigidBody, identify
-from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.arrays import get_arrays
 

@@ -10,7 +10,7 @@ from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
 from hesr_model.laws.lugre import LuGre
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 NAMES = ("sigma_0", "sigma_1", "sigma_2", "F_c", "F_s", "v_s", "tau_0")
 

@@ -10,7 +10,7 @@ from hesr_model.friction.records import (
 )
 from hesr_model.logs.rest import MOVING
 from hesr_model.logs.signals import near_reversals, reversals
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 
 def record(t: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> FrictionRecord:

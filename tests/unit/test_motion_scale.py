@@ -25,7 +25,7 @@ from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record
 from hesr_model.laws.stribeck import F_C
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 SCALE = 2.0**10
 

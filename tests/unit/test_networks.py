@@ -24,7 +24,7 @@ from hesr_model.laws.rbfnn import (
     find_bounded_law,
     find_candidates,
 )
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 ALPHA, BETA = 9.0, 30.0
 

@@ -22,7 +22,7 @@ from hesr_model.laws.parfam.calibrate import Cell
 from hesr_model.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
 from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.laws.parfam.laws import ParFamH
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.support.files import models_folder
 
 ALPHA, BETA = 12.0, 25.0

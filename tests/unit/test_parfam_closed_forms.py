@@ -12,7 +12,7 @@ from hesr_model.laws.parfam import calibrate, evolve, refine, trial
 from hesr_model.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
 from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.laws.stribeck import VELOCITY_BOUNDS
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 ALPHA, BETA = 12.0, 25.0
 

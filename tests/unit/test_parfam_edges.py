@@ -16,7 +16,7 @@ from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.laws.parfam.laws import ParFamH
 from hesr_model.laws.parfam.trial import Trial
 from hesr_model.laws.rbfnn import NetworkInputs
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 TRUTH = law(
     "lugre", {}, sigma_0=600.0, sigma_1=1.0, sigma_2=4.0, F_c=8.0, F_s=11.0, v_s=0.1, tau_0=0.5

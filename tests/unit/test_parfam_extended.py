@@ -24,7 +24,7 @@ from hesr_model.friction.records import predict_record
 from hesr_model.laws.lugre import LuGre
 from hesr_model.laws.parfam import trial
 from hesr_model.laws.parfam.laws import ParFamHX
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 NOISE = 0.2
 LINEAR = {"c_0": 0.4, "c_dq": 5.0, "c_h": 9.0, "c_dh": 0.02}

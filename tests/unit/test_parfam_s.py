@@ -30,7 +30,7 @@ from hesr_model.laws.stops.search import (
     select_ageing_times,
     weights,
 )
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 RIPPLE = 200
 """Frequencies of the ripple [1/rad]: two turns of a motor at 100, one fewer than at 101."""

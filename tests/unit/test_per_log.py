@@ -12,7 +12,7 @@ from hesr_model.fitting.days import (
     remove_nuisances,
 )
 from hesr_model.fitting.fit import fit_models
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 LEVELS, OFFSETS = (0.8, 1.0, 1.2), (1.5, 0.0, -1.5)
 

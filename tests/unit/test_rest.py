@@ -5,7 +5,8 @@ import pytest
 
 from hesr_model.logs.rest import MOVING, find_resting_speeds, find_resting_travel, find_travelling
 from hesr_model.logs.signals import reversals
-from hesr_model.rigid_body.residual import FrictionRecord, require_reversals
+from hesr_model.rigid_body.friction_record import FrictionRecord
+from hesr_model.rigid_body.residual import require_reversals
 from hesr_model.support.arrays import Array
 
 T = np.arange(0.0, 20.0, 0.005)

@@ -8,7 +8,7 @@ from scipy.optimize import lsq_linear
 
 from hesr_model.errors import FitError, LogError
 from hesr_model.fitting.joint_rows import JointRows, least_squares, non_negative_least_squares
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 
 def record(rows: int, *, log: str = "run", start: float = 0.0, seed: int = 0) -> FrictionRecord:

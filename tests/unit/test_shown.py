@@ -12,8 +12,8 @@ from fmu_src.friction.predictions import predict_model
 from hesr_model.errors import ConfigError
 from hesr_model.friction.model import _MAX_SHOWN_COEFFICIENTS, FrictionModel
 from hesr_model.logs.robot_log import Log
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.identification import RigidBody, identify
-from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.robots.robot import Robot
 from hesr_model.support.extras import install_command
 from hesr_model.support.frames import html_table

@@ -17,7 +17,8 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.friction.records import rmse
 from hesr_model.laws.stops.form import DEFLECTIONS
-from hesr_model.rigid_body.residual import FrictionRecord, require_reversals
+from hesr_model.rigid_body.friction_record import FrictionRecord
+from hesr_model.rigid_body.residual import require_reversals
 from hesr_model.units import unit_of_joint, unit_of_joints
 
 AXIS_TRUTHS = {

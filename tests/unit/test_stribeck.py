@@ -7,7 +7,7 @@ from hesr_model.errors import ArtifactError, HesrError
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
 from hesr_model.laws.stribeck import Stribeck
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 RNG_SEED = 0
 

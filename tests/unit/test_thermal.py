@@ -21,7 +21,7 @@ from hesr_model.friction.records import predict_record, rmse
 from hesr_model.friction.thermal import COULOMB_RANGE, VISCOUS_RANGE, Thermal
 from hesr_model.friction.thermal_law import thermal_component
 from hesr_model.friction.trained_range import TrainedRange, find_excess
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.robots.transmission import Coupling
 
 TRUE = Thermal(

@@ -20,7 +20,7 @@ from hesr_model.errors import SimulationError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record, rmse
 from hesr_model.friction.thermal_law import build_inputs
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.support.arrays import Array
 from hesr_model.support.progress import Progress, silent
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, overload
 
 from cosim.workflow.answer import Answer
 from hesr_model.errors import ArgumentError
@@ -10,7 +10,31 @@ from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
     from cosim.workflow.arguments import BodyArg, LawArg, Logs, Names, RobotArg
+    from hesr.extras.adaptive.page import Monitoring
     from hesr_model.support.files import PathArg
+
+
+@overload
+def monitor(
+    logs: Logs,
+    *,
+    law: LawArg,
+    robot: RobotArg | None = None,
+    rigid_body: BodyArg | None = None,
+    output: PathArg | None = None,
+    accept: Names = (),
+    progress: Stages = silent,
+) -> Monitoring: ...
+
+
+@overload
+def monitor(
+    logs: PathArg,
+    *,
+    output: PathArg | None = None,
+    workers: int | None = None,
+    progress: Stages = silent,
+) -> Answer: ...
 
 
 def monitor(

@@ -31,7 +31,7 @@ from hesr_model.fitting.separable import SearchSpace, Separable
 from hesr_model.friction.inputs import DQ, TAU_LOAD
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.laws.stribeck import F_C, SIGMA_2, TAU_0, V_S, VELOCITY_BOUNDS
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 ALPHAS = (1, 2, 3)  # candidate exponents of the Stribeck curve
 _STRIBECK_FACTOR = sympy.Symbol("e", real=True)  # stands for exp(-|v/v_s|^alpha)

@@ -12,7 +12,7 @@ from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.separable import SearchSpace, Separable
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.laws.lugre import RATIO_TEXTBOOK, LuGre, bristle_space
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.support.arrays import Array
 
 FREE_RATIO = (0.01, 5.0)  # F_s / F_c; 0 would leave no bristle at rest

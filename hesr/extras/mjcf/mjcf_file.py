@@ -30,7 +30,7 @@ from hesr_model.laws.dahl import DEFLECTIONS
 from hesr_model.laws.lugre import STATIC_RATIO_BOUNDS
 from hesr_model.laws.stribeck import SIGMA_2, TAU_0, V_S, VELOCITY_BOUNDS
 from hesr_model.motions.trajectories import random_fourier
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.support.files import written_whole
 from hesr_model.support.progress import Progress, report_progress, silent
 from hesr_model.units import unit_of_joint

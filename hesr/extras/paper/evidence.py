@@ -27,8 +27,9 @@ from hesr_model.friction.predict import predict
 from hesr_model.inference.comparison import law_errors
 from hesr_model.logs.rest import find_travelling
 from hesr_model.logs.signals import near_reversals
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.identification import RigidBody, identify
-from hesr_model.rigid_body.residual import FrictionRecord, find_resting_speed, friction_records
+from hesr_model.rigid_body.residual import find_resting_speed, friction_records
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 from hesr_model.support.progress import Stages

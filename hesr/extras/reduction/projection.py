@@ -17,8 +17,9 @@ from scipy.optimize import nnls
 
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import rmse
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.rigid_body.residual import FrictionRecord, find_resting_speed
+from hesr_model.rigid_body.residual import find_resting_speed
 from hesr_model.support.arrays import Array, Mask
 
 Weight = Literal["rows", "power"]

@@ -26,7 +26,8 @@ from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import score
 from hesr_model.rigid_body.choice import identify_from_logs
-from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.rigid_body.friction_record import FrictionRecord
+from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support import parallel
 from hesr_model.support.arrays import Array

@@ -20,7 +20,7 @@ from hesr_model.friction.records import rmse
 from hesr_model.friction.scales import split_torque
 from hesr_model.friction.thermal import Thermal
 from hesr_model.inference.covariance import blocks_of_time, covariance_of_fit
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.support.arrays import Array
 
 MIN_SPREAD = 3.0  # smallest difference between the 5 and 95 % quantiles [K]

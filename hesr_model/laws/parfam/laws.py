@@ -19,7 +19,7 @@ from hesr_model.laws.parfam.calibrate import Cell
 from hesr_model.laws.parfam.candidate import Candidate
 from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.laws.parfam.trial import Trial, add_unit, choose, extend_trial, pose
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.support.progress import step
 
 COEFFICIENTS = 11  # alpha, beta, 4 linear, gain, 4 of the argument

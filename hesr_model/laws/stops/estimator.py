@@ -20,7 +20,7 @@ from hesr_model.laws.ripple import LAG
 from hesr_model.laws.stops import form as forms
 from hesr_model.laws.stops.form import DEFLECTION_SCALES, SPEEDS, Structure, build_rest_states
 from hesr_model.laws.stops.search import Terms, build_dictionary, search
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.support.arrays import Array
 from hesr_model.support.typed_files import to_json
 

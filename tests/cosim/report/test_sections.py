@@ -32,8 +32,8 @@ from hesr_model.findings import Finding
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.inference.replicates import ErrorSplit
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.rigid_body.residual import FrictionRecord
 
 COULOMB = {"F_c": 3.0, "F_s": 3.1, "v_s": 0.1, "sigma_2": 1.5, "tau_0": 0.1}
 BRISTLES = COULOMB | {"sigma_0": 500.0, "sigma_1": 1.0}

@@ -26,7 +26,7 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.laws.dahl import DEFLECTIONS
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 
 INERTIA = (3.0, 0.6)  # [kg.m2], both for every law
 STEPS = (1e-4, 1e-3, 5e-3, 1e-2)  # [s]

@@ -35,7 +35,7 @@ from hesr_model.health.referee import Estimate
 from hesr_model.health.torque import find_sign_change
 from hesr_model.logs.log_format import column_names
 from hesr_model.logs.robot_log import Log
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.robots.robot import Robot, RobotDescription
 
 

@@ -13,7 +13,7 @@ from hesr_model.health.joints import apply_changes
 from hesr_model.health.omissions import doubt_one_speed
 from hesr_model.logs.long_log import LongLog
 from hesr_model.logs.robot_log import Log
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.robots.robot import Robot, RobotDescription
 
 SIGNALS = signals(30.0)
