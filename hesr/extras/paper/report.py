@@ -47,6 +47,12 @@ PARTLY = "partly"
 FAILS = "fails"
 OPEN = "not testable"
 _REVERSAL_CLAIM = 6  # the ablation of the state h
+_GAIN_PLACES = {TWIN: "fits to the twin", MEASURED: "measured joints"}
+_RIVALS = {
+    "rbfnn_h": "RBFNN-H",
+    "lugre": "LuGre fitted at once",
+    "lugre_static_first": "LuGre fitted static-first",
+}
 _TEMPLATES = code_templates(Path(__file__).parent / "templates")
 _TITLES = {
     "parfam_h_paper": "ParFam-H (paper)",
@@ -364,34 +370,36 @@ def _describe_gains(result: PaperResult) -> Iterator[str]:
         "Within 0.1 s of reversals ParFam-H (paper) is compared with ParFam-V, the same law "
         "without h."
     )
-    texts = []
-    for truth, cases in {TWIN: "fits to the twin", MEASURED: "measured joints"}.items():
-        if truth in reversals.truths:
-            judgement = reversals.truths[truth]
-            decided = [number for number in judgement.values.values() if not number.is_open]
-            count = len(judgement.holding)
-            text = f"on {count} of {len(decided)} {cases}"
-            if count:
-                holding = [judgement.values[label].value for label in judgement.holding]
-                text += f" by {_format_range([100.0 * (1.0 - value) for value in holding], 0)} %"
-            texts.append(text)
+    texts = [
+        _describe_gain(reversals.truths[truth], cases)
+        for truth, cases in _GAIN_PLACES.items()
+        if truth in reversals.truths
+    ]
     yield f"Its error is lower {' and '.join(texts)}, by the whole interval."
     if MEASURED in result.ratios:
-        rivals = {
-            "rbfnn_h": "RBFNN-H",
-            "lugre": "LuGre fitted at once",
-            "lugre_static_first": "LuGre fitted static-first",
-        }
-        ranges = []
-        for law_name, rival in rivals.items():
-            numbers = result.ratios[MEASURED][law_name].values()
-            values = [number.value for number in numbers if not number.is_open]
-            if values:
-                ranges.append(f"{_format_range(values, 2)} times that of {rival}")
+        ranges = list(_list_measured_ratios(result.ratios[MEASURED]))
         if ranges:
             yield f"On measured joints with enough rows it is {', '.join(ranges)}."
     table_1 = [number.value for number in result.ratios[TABLE_1]["lugre"].values()]
     yield f"Where Table I is the truth it is {_format_range(table_1, 2)} times that of LuGre."
+
+
+def _describe_gain(judgement: TruthVerdict, cases: str) -> str:
+    """Return on how many cases the error is lower, and by how much."""
+    decided_count = sum(not number.is_open for number in judgement.values.values())
+    text = f"on {len(judgement.holding)} of {decided_count} {cases}"
+    if not judgement.holding:
+        return text
+    gains = [100.0 * (1.0 - judgement.values[label].value) for label in judgement.holding]
+    return f"{text} by {_format_range(gains, 0)} %"
+
+
+def _list_measured_ratios(ratios: Mapping[str, Mapping[str, Number]]) -> Iterator[str]:
+    """Yield the range of the ratios to each rival on joints with enough rows."""
+    for law_name, rival in _RIVALS.items():
+        values = [number.value for number in ratios[law_name].values() if not number.is_open]
+        if values:
+            yield f"{_format_range(values, 2)} times that of {rival}"
 
 
 def _format_range(values: Sequence[float], digits: int) -> str:

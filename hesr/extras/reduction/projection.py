@@ -107,22 +107,20 @@ def reduce_model(
     inertias : what each joint moves in the mean [kg.m2].
     weight : what the projection weighs.
     """
+    all_rows = zip(_find_moving_rows(model, training), _find_moving_rows(model, tests), strict=True)
     joints = []
-    training_rows = list(_find_moving_rows(model, training))
-    test_rows = list(_find_moving_rows(model, tests))
-    for j, name in enumerate(model.joints):
-        frictionloss, damping = project(training_rows[j].dq, training_rows[j].tau_law, weight)
-        joints.append(
-            ReducedJoint(
-                name=name,
-                frictionloss=frictionloss,
-                damping=damping,
-                armature=_find_armature(body, name),
-                sliding=model.slides[j],
-                inertia=inertias[j],
-                price=_compute_price(test_rows[j], frictionloss, damping),
-            )
+    for j, (training_rows, test_rows) in enumerate(all_rows):
+        frictionloss, damping = project(training_rows.dq, training_rows.tau_law, weight)
+        joint = ReducedJoint(
+            name=model.joints[j],
+            frictionloss=frictionloss,
+            damping=damping,
+            armature=_find_armature(body, model.joints[j]),
+            sliding=model.slides[j],
+            inertia=inertias[j],
+            price=_compute_price(test_rows, frictionloss, damping),
         )
+        joints.append(joint)
     return joints
 
 
