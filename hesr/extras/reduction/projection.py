@@ -74,10 +74,6 @@ class ReducedJoint:
     inertia: float
     price: Price
 
-    def torque(self, dq: Array) -> Array:
-        """Return the friction (N,) [N.m] at velocities (N,) [rad/s]."""
-        return self.frictionloss * np.sign(dq) + self.damping * dq
-
 
 @dataclass(frozen=True, kw_only=True)
 class _MovingRows:
