@@ -222,51 +222,79 @@ def compare(
         }
         for j in range(len(records))
     ]
-    ratios = [_error_ratios(*pair) for pair in zip(error_tables, references, strict=True)]
-    rated_laws = [
-        law_name for law_name in scores if any(law_name in joint_ratios for joint_ratios in ratios)
-    ]
-    itself = ErrorRatio(value=1.0, low=1.0, high=1.0, p=1.0)
-    unseparated: list[dict[str, Unseparated]] = []
-    leading: list[tuple[str, ...]] = []
-    detectable: list[dict[str, float]] = []
-    for error_table in error_tables if ranked else []:
-        best = min(ranked, key=lambda law_name: _find_log_rmse(error_table, law_name))
-        joint_unseparated = {
-            law_name: _compare_with(error_table, law_name, ranked) for law_name in ranked
-        }
-        unseparated.append(joint_unseparated)
-        leading.append((best, *joint_unseparated[best].laws))
-        detectable.append(_detect_worse(error_table, best, ranked))
+    separations = [_separate_laws(error_table, ranked) for error_table in error_tables if ranked]
     return Comparison(
         joints=tuple(joint_records[0].joint for joint_records in records),
         tau_std=tuple(score.tau_std for score in scores[fallback]),
         laws={law_name: _law_scores(joint_scores) for law_name, joint_scores in scores.items()},
-        ratios=Ratios(
-            reference=fallback,
-            laws={
-                law_name: tuple(joint_ratios.get(law_name, itself) for joint_ratios in ratios)
-                for law_name in rated_laws
-            },
-            by_joint={
-                law_name: tuple(joint_references[law_name] for joint_references in references)
-                for law_name in rated_laws
-                if inputs
-            },
+        ratios=_collect_ratios(
+            error_tables, references, list(scores), fallback, has_own_references=bool(inputs)
         ),
-        leading=tuple(leading),
+        leading=tuple(separation.leading for separation in separations),
         bands=_band_scores(models or {}, records, predictions),
-        detectable=tuple(detectable),
-        seconds=tuple(
-            joint_unseparated[joint_leaders[0]].seconds
-            for joint_unseparated, joint_leaders in zip(unseparated, leading, strict=True)
-        ),
-        unseparated=tuple(unseparated),
+        detectable=tuple(separation.detectable for separation in separations),
+        seconds=tuple(separation.laws[separation.leading[0]].seconds for separation in separations),
+        unseparated=tuple(separation.laws for separation in separations),
         log_count=len({record.log for record in records[0]}),
         zero_phase={
             law_name: tuple(score(*pair).rmse for pair in zip(records, torques, strict=True))
             for law_name, torques in (zero_phase or {}).items()
         },
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Separation:
+    """What a test says of the laws of one joint.
+
+    Attributes
+    ----------
+    laws : statements about each law.
+    leading : the law with the lowest error, then those not separated from it.
+    detectable : smallest ratios of errors that the test can detect, by law.
+    """
+
+    laws: dict[str, Unseparated]
+    leading: tuple[str, ...]
+    detectable: dict[str, float]
+
+
+def _separate_laws(error_table: LawErrors, ranked: Sequence[str]) -> _Separation:
+    """Compare each law of a joint with all others."""
+    laws = {law_name: _compare_with(error_table, law_name, ranked) for law_name in ranked}
+    best = min(ranked, key=lambda law_name: _find_log_rmse(error_table, law_name))
+    return _Separation(
+        laws=laws,
+        leading=(best, *laws[best].laws),
+        detectable=_detect_worse(error_table, best, ranked),
+    )
+
+
+def _collect_ratios(
+    error_tables: Sequence[LawErrors],
+    references: Sequence[Mapping[str, str]],
+    law_names: Sequence[str],
+    fallback: str,
+    *,
+    has_own_references: bool,
+) -> Ratios:
+    """Return the ratios to references by law and joint; a reference has 1 to itself."""
+    ratios = [_error_ratios(*pair) for pair in zip(error_tables, references, strict=True)]
+    itself = ErrorRatio(value=1.0, low=1.0, high=1.0, p=1.0)
+    ratios_by_law = {}
+    references_by_law = {}
+    for law_name in law_names:
+        if any(law_name in joint_ratios for joint_ratios in ratios):
+            ratios_by_law[law_name] = tuple(
+                joint_ratios.get(law_name, itself) for joint_ratios in ratios
+            )
+            references_by_law[law_name] = tuple(
+                joint_references[law_name] for joint_references in references
+            )
+    return Ratios(
+        reference=fallback,
+        laws=ratios_by_law,
+        by_joint=references_by_law if has_own_references else {},
     )
 
 

@@ -205,19 +205,10 @@ def fit_models(
     """
     coupling = records[0][0].coupling
     records = transform_all_records(records)
+    origin = dict(provenance or {})
     if per_log:
-        nuisances = [estimate_nuisances(joint_records, per_log) for joint_records in records]
-        nuisance_values = {
-            joint_records[0].joint: {
-                log: asdict(log_nuisances) for log, log_nuisances in joint_nuisances.items()
-            }
-            for joint_records, joint_nuisances in zip(records, nuisances, strict=True)
-        }
-        records = [
-            remove_nuisances(joint_records, joint_nuisances)
-            for joint_records, joint_nuisances in zip(records, nuisances, strict=True)
-        ]
-        provenance = {**(provenance or {}), "per_log": nuisance_values}
+        records, origin["per_log"] = _remove_all_nuisances(records, per_log)
+    joints = [joint_records[0].joint for joint_records in records]
     with scratch_folder() as folder:
         jobs = {
             law_name: [
@@ -235,11 +226,7 @@ def fit_models(
             for law_name in laws
         }
         fitted_laws, failures = _run_jobs(
-            jobs,
-            [joint_records[0].joint for joint_records in records],
-            workers,
-            progress,
-            stops_at_failure=report_left_out is None,
+            jobs, joints, workers, progress, stops_at_failure=report_left_out is None
         )
     calibrated, calibration_failures = _calibrate_laws(fitted_laws, records, workers)
     failures |= calibration_failures
@@ -251,32 +238,47 @@ def fit_models(
     periods = [
         float(np.median(np.diff(record.t))) for joint_records in records for record in joint_records
     ]
-    left_out_errors = {
-        law_name: [
-            joint_law.left_out_rmse
-            for joint_law in joint_laws
-            if joint_law.left_out_rmse is not None
-        ]
-        for law_name, joint_laws in calibrated.items()
-    }
+    sample_time = round(float(np.median(periods)), 9)
+    trained = tuple(TrainedRange.from_records(joint_records) for joint_records in records)
     return {
         law_name: FrictionModel(
             law=law_name,
             robot=robot,
-            joints=tuple(joint_records[0].joint for joint_records in records),
+            joints=tuple(joints),
             laws=tuple(joint_law.law for joint_law in joint_laws),
             sliding=tuple(joint_records[0].sliding for joint_records in records),
             coupling=coupling,
-            sample_time=round(float(np.median(periods)), 9),
-            trained=tuple(TrainedRange.from_records(joint_records) for joint_records in records),
+            sample_time=sample_time,
+            trained=trained,
             training_rmse=tuple(joint_law.training_rmse for joint_law in joint_laws),
-            left_out_rmse=tuple(left_out_errors[law_name])
-            if len(left_out_errors[law_name]) == len(records)
-            else (),
-            provenance=dict(provenance or {}),
+            left_out_rmse=_list_left_out_errors(joint_laws),
+            provenance=dict(origin),
         )
         for law_name, joint_laws in calibrated.items()
     }
+
+
+def _remove_all_nuisances(
+    records: Sequence[Sequence[FrictionRecord]], per_log: Sequence[Nuisance]
+) -> tuple[list[list[FrictionRecord]], dict[str, Any]]:
+    """Return records without what differs by log, and its values by joint and log."""
+    remaining_records = []
+    nuisance_values = {}
+    for joint_records in records:
+        nuisances = estimate_nuisances(joint_records, per_log)
+        remaining_records.append(remove_nuisances(joint_records, nuisances))
+        nuisance_values[joint_records[0].joint] = {
+            log: asdict(log_nuisances) for log, log_nuisances in nuisances.items()
+        }
+    return remaining_records, nuisance_values
+
+
+def _list_left_out_errors(joint_laws: Sequence["_CalibratedLaw"]) -> tuple[float, ...]:
+    """Return the errors [N.m] on left-out logs by joint; none unless all joints have one."""
+    errors = [
+        joint_law.left_out_rmse for joint_law in joint_laws if joint_law.left_out_rmse is not None
+    ]
+    return tuple(errors) if len(errors) == len(joint_laws) else ()
 
 
 class _CalibratedLaw(NamedTuple):
