@@ -8,6 +8,7 @@ from statistics import geometric_mean
 from cosim.report.tables.table import (
     ResultTable,
     TableCell,
+    TableRow,
     decimals,
     fixed_cell,
     joints,
@@ -15,7 +16,7 @@ from cosim.report.tables.table import (
     title,
 )
 from cosim.study.position_errors import PositionErrors
-from cosim.study.scores import ORACLE, REFERENCE, Comparison, Errors, find_unseparated
+from cosim.study.scores import ORACLE, REFERENCE, Comparison, Errors, Ratios, find_unseparated
 from cosim.study.verdict import format_excess_percent
 from hesr_model.audit.properties import EXPECTATIONS, FEED_FORWARD, Properties
 from hesr_model.friction.model import FrictionModel
@@ -51,68 +52,70 @@ def errors(
     places = [decimals(column) for column in zip(*values.values(), strict=True)]
     covers_all_rows = measure == "rmse"
     ratios = comparison.ratios.laws if covers_all_rows else {}
-    clear_leaders = [
-        joint_leaders[0] if len(joint_leaders) == 1 else "" for joint_leaders in comparison.leading
-    ]
     zero_phase = comparison.zero_phase if covers_all_rows else {}
-    best = (
-        clear_leaders
-        if covers_all_rows and len(values) > 1 and clear_leaders
-        else [""] * len(comparison.joints)
-    )
     rows = []
+    best = [""] * len(comparison.joints)
     if covers_all_rows:
-        cells = [
-            fixed_cell(std, decimal_count)
-            for std, decimal_count in zip(comparison.tau_std, places, strict=True)
-        ]
-        cells += [fixed_cell(None, 2)] * bool(zero_phase)
+        cells = [fixed_cell(*pair) for pair in zip(comparison.tau_std, places, strict=True)]
+        if zero_phase:
+            cells.append(fixed_cell(None, 2))
         rows.append(make_row("(std of friction)", *cells, quiet=True))
+        if len(values) > 1 and comparison.leading:
+            best = [_find_clear_leader(leaders) for leaders in comparison.leading]
 
-    def cell(law_name: str, k: int, value: float | None) -> TableCell:
-        notes = ratio_notes(ratios[law_name][k]) if law_name in ratios else ()
-        return fixed_cell(value, places[k], best=law_name == best[k], notes=notes)
+    def make_law_row(law_name: str) -> TableRow:
+        notes = [ratio_notes(ratio) for ratio in ratios.get(law_name, ())]
+        cells = [
+            fixed_cell(
+                value,
+                places[k],
+                best=law_name == best[k],
+                notes=notes[k] if notes else (),
+            )
+            for k, value in enumerate(values[law_name])
+        ]
+        if zero_phase:
+            cells.append(_zero_phase_cell(values[law_name], zero_phase.get(law_name)))
+        return make_row(title(law_name), *cells)
 
     ranked = sorted(values, key=lambda law_name: (law_name == ORACLE, comparison.size(law_name)))
     for label, laws in _group_by_inputs(ranked, inputs).items():
         if label is not None:
             rows.append(make_row(f"inputs {label}" if label else "for comparison"))
-        rows += [
-            make_row(
-                title(law_name),
-                *(cell(law_name, k, value) for k, value in enumerate(values[law_name])),
-                *(
-                    [_zero_phase_cell(values[law_name], zero_phase.get(law_name))]
-                    if zero_phase
-                    else []
-                ),
-            )
-            for law_name in laws
-        ]
-    rows += [
-        make_row(f"{title(law_name)} was left out: {reason}")
-        for law_name, reason in (left_out or {}).items()
-    ]
+        rows += [make_law_row(law_name) for law_name in laws]
+    for law_name, reason in (left_out or {}).items():
+        rows.append(make_row(f"{title(law_name)} was left out: {reason}"))
     unit, speed = (unit_of_joints(u, sliding) for u in ("N.m", "rad/s"))
-    reference = title(comparison.ratios.reference)
-    if comparison.ratios.fair:
-        reference = "the strongest classic law of the same inputs or fewer"
-    small = ""
-    if ratios:
-        is_for_others = any(ratio.on_other_logs for row in ratios.values() for ratio in row)
-        scope = "other logs of the kind" if is_for_others else "this log"
-        small = (
-            f"; small: ratio to {reference} with its 95\u00a0% interval on {scope}, for each ratio "
-            "alone; bold: after Holm over the laws of a joint"
-        )
+    small = _describe_ratios(comparison.ratios) if ratios else ""
     if zero_phase:
         small += "; velocity behind a causal low pass; zero phase: mean ratio of RMSE without lag"
     words = MEASURES[measure].format(speed=speed)
+    head = ["law", *joints(len(comparison.joints))]
+    if zero_phase:
+        head.append("zero phase")
     return ResultTable(
         caption=f"{name}: RMSE of the predicted torque [{unit}] {words}{small}"
         f"{_describe_nuisances(comparison.per_log)}",
-        head=("law", *joints(len(comparison.joints)), *(["zero phase"] if zero_phase else [])),
+        head=tuple(head),
         rows=rows,
+    )
+
+
+def _find_clear_leader(leaders: Sequence[str]) -> str:
+    """Return the law that no other one ties with; empty if there is none."""
+    return leaders[0] if len(leaders) == 1 else ""
+
+
+def _describe_ratios(ratios: Ratios) -> str:
+    """Return what the small figures of a table of errors are."""
+    reference = title(ratios.reference)
+    if ratios.fair:
+        reference = "the strongest classic law of the same inputs or fewer"
+    is_for_others = any(ratio.on_other_logs for row in ratios.laws.values() for ratio in row)
+    scope = "other logs of the kind" if is_for_others else "this log"
+    return (
+        f"; small: ratio to {reference} with its 95\u00a0% interval on {scope}, for each ratio "
+        "alone; bold: after Holm over the laws of a joint"
     )
 
 
