@@ -27,7 +27,7 @@ from hesr_model.units import unit_of_joints
 
 MEASURES = {
     "rmse": "over all rows",
-    "rmse_moving": "while moving (|dq| > 0.02 {speed})",
+    "rmse_moving": "while moving",
     "rmse_reversal": "within 0.1 s of velocity reversals",
 }
 """Measures of a test set, and their names."""
@@ -85,16 +85,15 @@ def errors(
         rows += [make_law_row(law_name) for law_name in laws]
     for law_name, reason in (left_out or {}).items():
         rows.append(make_row(f"{title(law_name)} was left out: {reason}"))
-    unit, speed = (unit_of_joints(u, sliding) for u in ("N.m", "rad/s"))
+    unit = unit_of_joints("N.m", sliding)
     small = _describe_ratios(comparison.ratios) if ratios else ""
     if zero_phase:
         small += "; velocity behind a causal low pass; zero phase: mean ratio of RMSE without lag"
-    words = MEASURES[measure].format(speed=speed)
     head = ["law", *joints(len(comparison.joints))]
     if zero_phase:
         head.append("zero phase")
     return ResultTable(
-        caption=f"{name}: RMSE of the predicted torque [{unit}] {words}{small}"
+        caption=f"{name}: RMSE of the predicted torque [{unit}] {MEASURES[measure]}{small}"
         f"{_describe_nuisances(comparison.per_log)}",
         head=tuple(head),
         rows=rows,
