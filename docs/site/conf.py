@@ -21,7 +21,7 @@ include_patterns = [
     "CHANGELOG.md",
     "CONTRIBUTING.md",
     "SECURITY.md",
-    "models/uf850/README.md",
+    "models/*/README.md",
 ]
 exclude_patterns = [
     *(".*", "build", "dist", "site", "results", "tests", "cosim", "fmu_src", "hesr_model"),
