@@ -72,8 +72,9 @@ def test_later_extensions_must_gain(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_starts_of_the_third_stage(exact: HysteresisFeatures, unchanged: Unchanged) -> None:
     few = ParFamH(cells=2, starts=4, candidates=2, functions=("tanh", "sin"))
-    found = few._evolve(exact, np.random.default_rng(0))
+    *found, alias1, alias2 = few._evolve(exact, np.random.default_rng(0))
     assert [k.g for k in found] == [None, None, "tanh", "tanh", "sin", "sin"]
+    assert [(k.g, k.alpha) for k in (alias1, alias2)] == [("sin", k.alpha) for k in found[4:]]
     geometric = ParFamH(search="paper", functions=("tanh",))._search_like_paper(
         exact, np.random.default_rng(0)
     )

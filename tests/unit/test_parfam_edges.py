@@ -224,4 +224,5 @@ def test_reported_steps(
     told.clear()
     monkeypatch.setattr(refine, "ROUNDS", ((2, 2), (2, 1)))
     refine.select(features, found, features.rows.folds, TrainedRange.from_records(records))
-    assert told == [0.5, 0.5 + round(1000 / 6) / 2000, 0.5 + round(2000 / 6) / 2000, 0.75, 0.875]
+    assert [candidate.g for candidate in found] == [None, "tanh", "sin", "sin"]  # and an alias
+    assert told == [0.5, 0.5625, 0.625, 0.6875, 0.75, 0.875]

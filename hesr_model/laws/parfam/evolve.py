@@ -47,7 +47,7 @@ def search_arguments(
     `features` (M, F) are those of the argument, the first one constant, `linear` (M, L) the columns
     of the linear law. `starts` (S, F) and `limit` are for standardised features.
     """
-    scale = np.concatenate([[1.0], np.maximum(features[:, 1:].std(axis=0), 1e-12)])
+    scale = _feature_scale(features)
     problem = _ProjectedProblem(g, features / scale, linear, tau, limit)
     theta, cost = problem.minimise(starts.T.copy())
     chosen: list[int] = []
@@ -57,6 +57,35 @@ def search_arguments(
         if all(abs(cost[i] - cost[j]) > 1e-4 * cost[j] for j in chosen):
             chosen.append(int(i))
     return [theta[:, i] / scale for i in chosen]
+
+
+def search_aliases(candidate: Candidate, features: Array, tau: Array) -> list[Candidate]:
+    """Return the best law from the aliases of a periodic g; none for another g.
+
+    While a joint slides, h is the sign of v. Then sin and cos of theta . x stay the same, but for
+    the sign of the gain, if theta_h changes by half a turn, and if x is mirrored: (-theta_0,
+    -theta_v, half a turn - theta_h). Only the rows after reversals tell these laws apart, where the
+    law of a cell is the least accurate, so that stage 3 gets both.
+    """
+    if candidate.g not in ("sin", "cos"):
+        return []
+    scale = _feature_scale(features)
+    offset, by_speed, by_state, by_rate = candidate.theta
+    aliases = []
+    for half_turn in (-np.pi, np.pi):
+        mirrored = [-offset, -by_speed, half_turn - by_state]
+        aliases += [
+            [offset, by_speed, by_state + half_turn, by_rate],
+            [*mirrored, by_rate],
+            [*mirrored, -by_rate],
+        ]
+    cell = Cell(alpha=candidate.alpha, beta=candidate.beta, cost=np.nan)
+    return search(cell, candidate.g, features, tau, np.array(aliases) * scale, keep=1)
+
+
+def _feature_scale(features: Array) -> Array:
+    """Return the standard deviation (F,) of each feature, 1 of the constant one."""
+    return np.concatenate([[1.0], np.maximum(features[:, 1:].std(axis=0), 1e-12)])
 
 
 def starting_points(rng: np.random.Generator, count: int, features: int) -> Array:
@@ -198,7 +227,7 @@ def search_of_paper(
     cell: Cell, g: str, features: Array, tau: Array, rng: np.random.Generator
 ) -> Candidate:
     """Return the law with one unit g by the search of the paper at one (alpha, beta)."""
-    scale = np.concatenate([[1.0], np.maximum(features[:, 1:].std(axis=0), 1e-12)])
+    scale = _feature_scale(features)
     level = max(float(tau.std()), 1e-12)
     x = features / scale
     y = tau / level

@@ -125,7 +125,12 @@ class ParFamH(Estimator):
             [candidate for candidate in candidates if candidate.g == g]
             for g in (None, *self.functions)
         )
-        return [candidate for group in groups for candidate in group[: self.candidates]]
+        shortlist = [candidate for group in groups for candidate in group[: self.candidates]]
+        aliases: list[Candidate] = []
+        for candidate in shortlist:
+            columns = features.columns(candidate.alpha, candidate.beta)[searched_rows]
+            aliases += evolve.search_aliases(candidate, columns, tau[searched_rows])
+        return shortlist + aliases
 
     def _search_like_paper(
         self, features: HysteresisFeatures, rng: np.random.Generator
