@@ -5,16 +5,14 @@ for any amount of time and memory.
 """
 
 import json
-import math
 import os
 import shutil
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from importlib.metadata import version
-from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -22,25 +20,19 @@ import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from hesr_model.errors import ConfigError, RobotError
+from hesr_model.robots.mjcf_source import MjcfSource
 from hesr_model.robots.urdf import UNLIMITED, read_urdf
 from hesr_model.support.arrays import Array
 from hesr_model.support.cache import compute_once
 from hesr_model.support.child import run_in_child
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.process import DiedError
-from hesr_model.support.text import on_one_line, quote, sanitise
+from hesr_model.support.text import on_one_line, sanitise
 
-_MAX_PARTS = 15_000  # per MJCF; compile time grows with the square, to 7 s here
-_MAX_CELLS = 1 << 26  # of height fields and textures, in total
-_MAX_SIZE = 1 << 60  # larger numbers in a file are this
 _SECONDS = 20.0  # to compile a file
 _MAX_MEMORY = 2 << 30  # to compile a file [B]
 _MAX_MESSAGE_LENGTH = 1000  # characters of a child's
-_TRIAL = "1"  # version of what a trial does
-_DEFAULT_MODEL_NAME = "MuJoCo Model"
-FILE_ATTRIBUTES = ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
-"""Attributes of an MJCF that name a file."""
-
+_TRIAL = "2"  # version of what a trial does
 _MIN_INERTIA = 1e-9  # mass and inertia of the links of a URDF for MuJoCo [kg, kg.m2]
 _STATE_COUNT = 8  # random states of the check
 Compiled = dict[str, Any]  # a compiled file as JSON; see `_describe_model`
@@ -62,22 +54,26 @@ def compile_model(path: Path) -> Any:
         raise ConfigError(f"{path}: no such model file.")
     if is_urdf(path):
         return compile_spec(path)
-    _require_compilable(path)
-    with _report_refusal(path):
-        return import_engine().MjModel.from_xml_path(str(path))
+    with _copy_compilable(path) as copy_path, _report_refusal(path):
+        return import_engine().MjModel.from_xml_path(str(copy_path))
 
 
 def compile_spec(path: Path, change: Callable[[Any], None] = lambda _: None) -> Any:
     """Return the changed MuJoCo model of a file; a URDF has no appearance and no contacts."""
-    with _report_refusal(path), warnings.catch_warnings(action="ignore"):  # deprecated attributes
+    with ExitStack() as stack:
+        # Attributes may be deprecated.
+        stack.enter_context(warnings.catch_warnings(action="ignore"))
         if is_urdf(path):
             text = read_urdf(path, path.read_bytes()).text
-            _require_success(path, _try_once([text], "text", text, ()))
+            with scratch_folder() as folder:
+                _require_success(path, _try_once("a URDF", [text], "text", text, folder))
+            stack.enter_context(_report_refusal(path))
             spec = import_engine().MjSpec.from_string(text)
             _soften_urdf(spec)
         else:
-            _require_compilable(path)
-            spec = import_engine().MjSpec.from_file(str(path))
+            copy_path = stack.enter_context(_copy_compilable(path))
+            stack.enter_context(_report_refusal(path))
+            spec = import_engine().MjSpec.from_file(str(copy_path))
         change(spec)
         return spec.compile()
 
@@ -100,8 +96,10 @@ def _report_refusal(path: Path) -> Iterator[None]:
 def compile_robot(path: Path) -> Compiled:
     """Return an MJCF without its appearance; RobotError if MuJoCo cannot compile it."""
     try:
-        files = _require_an_end(path)
-        compiled_tree = _describe_once(_list_content(path), "file", str(path), files)
+        source = MjcfSource.read(path)
+        compiled_tree = _describe_once(
+            _list_content(source), "file", str(path), [path.parent, *source.files]
+        )
     except ConfigError as error:
         raise RobotError(str(error)) from error
     if "refusal" in compiled_tree:
@@ -115,12 +113,13 @@ def compute_urdf_torques(text: str) -> Compiled | None:
 
 
 def _describe_once(
-    content: Iterable[str | bytes], kind: str, source: str, files: Sequence[Path]
+    content: Iterable[str | bytes], kind: str, source: str, readable: Sequence[Path]
 ) -> Compiled:
     """Return what `describe_model` returns in a child, computed once for each content."""
+    subject = source if kind == "file" else "a URDF"
 
     def make() -> bytes:
-        compiled_tree = _run_in_child("describe_model", kind, source, files)
+        compiled_tree = _run_in_child(subject, "describe_model", kind, source, readable)
         if "unusable" in compiled_tree:
             raise RobotError(sanitise(str(compiled_tree["unusable"]), _MAX_MESSAGE_LENGTH))
         return json.dumps(compiled_tree).encode()
@@ -160,15 +159,32 @@ class _Description(BaseModel):
     check: _Torques
 
 
-def _require_compilable(path: Path) -> None:
-    """Raise ConfigError unless a child can compile an MJCF within its limits."""
-    files = _require_an_end(path)
-    _require_success(path, _try_once(_list_content(path), "file", str(path), files))
+@contextmanager
+def _copy_compilable(path: Path) -> Iterator[Path]:
+    """Yield a copy of an MJCF that a child has compiled within its limits; raises ConfigError.
+
+    What is compiled here are the same bytes, whatever happens to the files meanwhile.
+    """
+    source = MjcfSource.read(path)
+    with scratch_folder() as folder:
+        copy = source.copy_to(folder / "model")
+        refusal = _try_once(str(path), copy.content, "file", str(copy.path), copy.folder)
+        _require_success(path, refusal)
+        yield copy.path
 
 
-def _try_once(content: Iterable[str | bytes], kind: str, source: str, files: Sequence[Path]) -> str:
+def _list_content(source: MjcfSource) -> Iterator[str | bytes]:
+    yield source.data
+    for file in source.files:
+        yield f"{file} {file.stat().st_size} {file.stat().st_mtime_ns}"
+
+
+def _try_once(subject: str, content: Sequence[str], kind: str, source: str, folder: Path) -> str:
+    """Return why a child cannot compile what lies in a folder, once for each content."""
+
     def make() -> bytes:
-        return str(_run_in_child("try_model", kind, source, files)).encode()
+        refusal = str(_run_in_child(subject, "try_model", kind, source, [folder]))
+        return refusal.replace(str(folder), "").encode()
 
     key: list[str | bytes] = [_TRIAL, version("mujoco"), kind, *content]
     return compute_once("trials", key, make).decode()
@@ -180,13 +196,10 @@ def _require_success(path: Path, refusal: str) -> None:
         raise ConfigError(f"{path}: cannot be compiled as {kind} ({sanitise(refusal, 400)}).")
 
 
-def _run_in_child(function: str, kind: str, source: str, files: Sequence[Path]) -> Any:
-    """Return the answer of a function of this module; raises ConfigError if the child ends."""
-    readable = list(files)
-    subject = "a URDF"
-    if kind == "file":
-        readable.append(Path(source).parent)
-        subject = source
+def _run_in_child(
+    subject: str, function: str, kind: str, source: str, readable: Sequence[Path]
+) -> Any:
+    """Return the answer of a function of this module; ConfigError about a subject if it ends."""
     with scratch_folder() as folder:
         try:
             return run_in_child(
@@ -259,54 +272,27 @@ def list_shape_meshes(kind: str, source: str, folder: str) -> list[str]:
     return [mesh.name for mesh in _strip_mjcf(Path(source)).meshes]
 
 
-def _list_content(path: Path) -> Iterator[str | bytes]:
-    data = resolve_includes(path)
-    yield data
-    root = _parse_root(path, data)
-    if root is None:
-        return
-    for _, _, file in _find_files(root, path.parent):
-        yield f"{file} {file.stat().st_size} {file.stat().st_mtime_ns}"
-
-
-def _parse_root(path: Path, data: bytes) -> Element | None:
-    try:
-        return ElementTree.fromstring(data)
-    except ElementTree.ParseError:
-        return None
-    except (LookupError, ValueError) as error:  # an encoding, which MuJoCo ignores
-        raise ConfigError(f"{path}: cannot be parsed as an MJCF ({on_one_line(error)}).") from error
-
-
-def resolve_includes(path: Path) -> bytes:
-    """Return an MJCF with the content of the files that it includes."""
-    data = path.read_bytes()
-    root = _parse_root(path, data)
-    if root is None or root.find(".//include") is None:
-        return data
-    _include(root, path.parent, {path})
-    return ElementTree.tostring(root)
-
-
 def copy_model(path: Path, folder: Path) -> None:
     """Copy an MJCF into a folder, with its includes and the meshes that its masses come from.
 
     Other meshes, textures and height fields have no effect on torques and are left out.
     """
-    data = resolve_includes(path)
-    files = _require_an_end(path)
-    mesh_names = set(map(str, _run_in_child("list_shape_meshes", "file", str(path), files)))
-    root = _parse_root(path, data) if mesh_names else None
-    if root is not None:
-        _copy_meshes(root, path.parent, mesh_names, folder)
-        data = ElementTree.tostring(root)
+    source = MjcfSource.read(path)
+    data = source.data
+    readable = [path.parent, *source.files]
+    mesh_names = set(
+        map(str, _run_in_child(str(path), "list_shape_meshes", "file", str(path), readable))
+    )
+    if mesh_names and source.root is not None:
+        _copy_meshes(source, mesh_names, folder)
+        data = ElementTree.tostring(source.root)
     (folder / path.name).write_bytes(data)
 
 
-def _copy_meshes(root: Element, base: Path, mesh_names: set[str], folder: Path) -> None:
+def _copy_meshes(source: MjcfSource, mesh_names: set[str], folder: Path) -> None:
     """Copy meshes next to the copy of their model, whose elements then name them."""
     copies: dict[Element, Path] = {}
-    for element, _, file in _find_files(root, base):
+    for element, _, file in source.find_files():
         name = element.get("name", Path(element.get("file", "")).stem)
         if element.tag == "mesh" and name in mesh_names and file.is_file():
             element.set("name", name)
@@ -316,128 +302,10 @@ def _copy_meshes(root: Element, base: Path, mesh_names: set[str], folder: Path) 
         copy_name = f"mesh{number}_{file.name}"
         shutil.copyfile(file, folder / copy_name)
         element.set("file", copy_name)
-    for compiler in root.iter("compiler"):
+    assert source.root is not None
+    for compiler in source.root.iter("compiler"):
         for kind in ("assetdir", "meshdir"):
             compiler.attrib.pop(kind, None)
-
-
-def _include(element: Element, base: Path, included: set[Path]) -> None:
-    for k, child in reversed(list(enumerate(element))):
-        file = base / child.get("file", "")
-        inner = child
-        if child.tag == "include" and file.is_file() and file not in included:
-            included.add(file)  # MuJoCo refuses a second time
-            included_root = _parse_root(file, file.read_bytes())
-            inner = child if included_root is None else included_root
-        _include(inner, base, included)
-        if inner is not child:
-            element[k : k + 1] = list(inner)
-
-
-def _find_files(root: Element, base: Path) -> Iterator[tuple[Element, str, Path]]:
-    """Yield the elements, attributes and files that exist, in every folder that can be meant."""
-    folders = {""}
-    for compiler in root.iter("compiler"):
-        folders |= {compiler.get(kind, "") for kind in ("assetdir", "meshdir", "texturedir")}
-    sorted_folders = sorted(folders)
-    for element in root.iter():
-        for attribute in FILE_ATTRIBUTES:
-            name = element.get(attribute)
-            if not name:
-                continue
-            for folder in sorted_folders:
-                file = base / folder / name
-                if file.exists():
-                    yield element, attribute, file
-
-
-def _require_an_end(path: Path) -> list[Path]:
-    """Reject endless copies, huge fields and special files; return the files that are named."""
-    root = _parse_root(path, resolve_includes(path))
-    if root is None:
-        return []
-    files = []
-    parts = 0
-    cells = 0
-    models = _list_models(root, path.parent, {path.resolve()})
-    # Each model has a part. Models that are named twice double from level to level.
-    for model in islice(models, _MAX_PARTS + 1):
-        parts += model.copies * _count_parts(model.root)
-        cells += model.copies * sum(map(_count_cells, model.root.iter()))
-        for element, attribute, file in _find_files(model.root, model.folder):
-            if not file.is_file():
-                name = quote(element.get(attribute, ""))
-                raise ConfigError(f"{path}: names the file {name}, which is not a regular file.")
-            files.append(file)
-    for count, limit, noun in ((parts, _MAX_PARTS, "elements"), (cells, _MAX_CELLS, "cells")):
-        if count > limit:
-            raise ConfigError(f"{path}: has {count} {noun}; at most {limit} can be compiled.")
-    return files
-
-
-class _Model(NamedTuple):
-    """A model and the number of its copies in the whole; files are relative to its folder."""
-
-    root: Element
-    folder: Path
-    copies: int
-
-
-def _list_models(
-    root: Element, folder: Path, known: set[Path], copies: int = 1
-) -> Iterator[_Model]:
-    """Yield a model and those that it attaches, each once with the number of its copies."""
-    yield _Model(root, folder, copies)
-    for element in root.iter("model"):
-        file = folder / element.get("file", "")
-        if not file.is_file() or file.resolve() in known:
-            continue
-        inner_root = _parse_root(file, resolve_includes(file))
-        if inner_root is not None:
-            # MuJoCo's default name is that of the model in the file.
-            name = element.get("name", inner_root.get("model", _DEFAULT_MODEL_NAME))
-            attachments = min(_count_attachments(root, name), _MAX_PARTS + 1)
-            inner_copies = copies * max(1, attachments)  # it is read even if it is not attached
-            yield from _list_models(inner_root, file.parent, known | {file.resolve()}, inner_copies)
-
-
-def _count_attachments(element: Element, name: str) -> int:
-    """Return how often a model is attached below an element."""
-    count = sum(_count_attachments(child, name) for child in element if len(child))
-    count += sum(1 for child in element if child.tag == "attach" and child.get("model") == name)
-    return count * (_read_size(element, "count") if element.tag == "replicate" else 1)
-
-
-def _count_parts(element: Element) -> int:
-    """Return the number of elements, copies included, and of the vertices of flexible ones."""
-    size = _read_size(element, "count")
-    if element.tag in ("flexcomp", "composite"):
-        return 1 + size + sum(map(_count_parts, element))
-    copies = size if element.tag == "replicate" else 1
-    return 1 + copies * sum(map(_count_parts, element))
-
-
-def _count_cells(element: Element) -> int:
-    """Return the number of heights of a field, or of pixels of a texture."""
-    if element.tag == "hfield":
-        return _read_size(element, "nrow") * _read_size(element, "ncol")
-    if element.tag == "texture":
-        width = _read_size(element, "width")
-        is_flat = element.get("type") == "2d"  # others have six sides
-        return width * (_read_size(element, "height") if is_flat else 6 * width)
-    return 0
-
-
-def _read_size(element: Element, attribute: str) -> int:
-    """Return the product of the numbers in an attribute; what is no number counts as 1."""
-    size = 1
-    for word in element.get(attribute, "").split():
-        try:
-            number = float(word)
-        except ValueError:
-            continue
-        size *= max(1, int(min(number, _MAX_SIZE))) if not math.isnan(number) else 1
-    return min(size, _MAX_SIZE)
 
 
 def _strip_mjcf(path: Path) -> Any:
