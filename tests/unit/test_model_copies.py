@@ -158,7 +158,7 @@ def test_what_was_bounded_is_copied(
     if name.endswith(".xml"):
         assert compile_model(path).nmesh == 1
         return
-    with pytest.raises(ConfigError, match=r"regular file|read|compiled"):
+    with pytest.raises(ConfigError, match=r"k\.obj|compiled"):
         compile_model(path)
 
 
@@ -172,7 +172,7 @@ def test_no_more_than_a_limit_is_copied(tmp_path: Path, monkeypatch: pytest.Monk
 @pytest.mark.parametrize("name", ["../" * 60 + "etc/hostname", "/../.." + "/etc/hostname"])
 def test_no_copy_leaves_its_folder(name: str, tmp_path: Path) -> None:
     path = lay(tmp_path, {"arm/m.xml": mjcf_text(MESH.format(name), world())})
-    with pytest.raises(ConfigError, match=r"root folder|be compiled"):
+    with pytest.raises(ConfigError, match=r"root|compiled"):
         compile_model(path)
 
 
