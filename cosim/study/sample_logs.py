@@ -15,7 +15,6 @@ from hesr_model.motions.excitation import ExcitationSettings, condition, random_
 from hesr_model.motions.limits import RANGE_MARGIN, MotionLimits
 from hesr_model.motions.trajectories import Fourier
 from hesr_model.rigid_body.base_parameters import base_columns
-from hesr_model.rigid_body.identification import MIN_PEAK_SPEED
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256
@@ -87,16 +86,17 @@ def is_sample(file: Path) -> bool:
 
 
 def plausible_friction(robot: Robot, motion: Fourier) -> list[FrictionLaw]:
-    """Return LuGre laws scaled by the torques of a motion; raise RobotError for a slow joint."""
+    """Return LuGre laws scaled by the torques of a motion; raise RobotError for a joint at rest."""
     q, dq, ddq = motion.sample(np.arange(round(_PERIOD * RATE)) / RATE)
     speed = np.abs(dq).max(axis=0)
     travel = np.ptp(q, axis=0)
     for joint, peak in zip(robot.description.joints, speed, strict=True):
-        if peak <= MIN_PEAK_SPEED:
+        if not peak > 0.0:
             raise RobotError(
-                f"robot '{robot.description.name}': the limits of joint '{joint}' allow at most "
-                f"{peak:.2g} rad/s (m/s); leave the joint out, identification needs "
-                f"{MIN_PEAK_SPEED:g}."
+                f"robot '{robot.description.name}': the limits of joint '{joint}' allow no motion; "
+                "leave the joint out.",
+                code="robot.no_motion",
+                key=joint,
             )
     return [
         FrictionLaw(

@@ -197,6 +197,7 @@ _COARSE_WEIGHT = 1e2  # weight of exceeded limits in the first descents
 _FINE_WEIGHT = 1e4  # in the last one
 _COARSE_STEPS = 100
 _FINE_STEPS = 300
+_MIN_SHARE_OF_LIMIT = 0.02  # of a joint's own limit of speed, which its peak exceeds
 _DEFAULT_RATE = 200.0  # [Hz]
 _INITIAL_SIZE = 100.0  # size of a random motion before it is shrunk, relative to the joint's speed
 
@@ -271,11 +272,14 @@ def design(
             _descend(search, best_motion, rest_q, _FINE_WEIGHT, _FINE_STEPS), period=period
         )
     _, dq, _ = sample_one_period(motion)
-    for joint, peak in zip(robot.description.joints, np.abs(dq).max(axis=0), strict=True):
-        if not peak > MIN_PEAK_SPEED:
+    peaks = np.abs(dq).max(axis=0)
+    # A lift may be slow, but not as slow as by positions that hardly differ.
+    least_peaks = np.minimum(MIN_PEAK_SPEED, _MIN_SHARE_OF_LIMIT * limits.velocity)
+    for joint, peak, least_peak in zip(robot.description.joints, peaks, least_peaks, strict=True):
+        if not peak > least_peak:
             raise FitError(
                 f"robot '{robot.description.name}': the limits allow joint '{joint}' at most "
-                f"{peak:.2g} rad/s; widen them, identification needs {MIN_PEAK_SPEED:g} rad/s."
+                f"{peak:.2g} rad/s; widen them, identification needs {least_peak:.2g} rad/s."
             )
     return Excitation(
         motion=replace(motion, periods=settings.periods),

@@ -164,8 +164,10 @@ def load(path: Path) -> RobotModelFile:
         pin_model = pin.buildModelFromXML(urdf.text)
     except Exception as error:  # many kinds
         raise RobotError(f"{path}: cannot be parsed as a URDF ({on_one_line(error)}).") from error
-    for frame in pin_model.frames:  # a body named as a joint, which Pinocchio cannot reduce
-        if frame.type == pin.FrameType.BODY and pin_model.existJointName(frame.name):
+    # Pinocchio cannot reduce a model with a body that is named as a joint, moving or fixed.
+    joint_names = {frame.name for frame in pin_model.frames if frame.type != pin.FrameType.BODY}
+    for frame in pin_model.frames:
+        if frame.type == pin.FrameType.BODY and frame.name in joint_names:
             frame.name = f"{frame.name} (link)"
     names = set(pin_model.names)
     for name, armature in compiled.get("armature", {}).items():

@@ -1,5 +1,6 @@
 """URDF files: checked numbers, mimic joints, inertias; limits of joints and doubts about models."""
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -37,16 +38,20 @@ class Urdf:
     doubts: tuple[Finding, ...]
 
 
-_XACRO = "/xacro}"  # end of the namespace of its elements
+_XACRO = ("/xacro}", "{xacro}")  # ends of the namespace of its elements
+_UNBOUND_PREFIX = 27  # of expat: an element or attribute whose prefix is not declared
+_PREFIX = re.compile(r"[<\s/]([A-Za-z_][\w.-]*):[A-Za-z_][\w.-]*(?=[\s=/>])")
+_DECLARED_PREFIX = re.compile(r"\bxmlns:([\w.-]+)\s*=")
 
 
 def read_urdf(path: Path, text: str | bytes) -> Urdf:
     """Read a URDF; RobotError if a number cannot be read, or an axis or a mass cannot be."""
     try:
-        root = ElementTree.fromstring(text.strip())
+        root = _parse(text.strip())
     except (ElementTree.ParseError, LookupError, ValueError) as error:  # or an encoding
         raise RobotError(f"{path}: cannot be parsed as a URDF ({error}).") from error
-    if any(_XACRO in element.tag for element in root.iter() if isinstance(element.tag, str)):
+    tags = [element.tag for element in root.iter() if isinstance(element.tag, str)]
+    if any(name in tag for tag in tags for name in _XACRO):
         raise RobotError(f"{path}: is a xacro template; expand it first: xacro FILE > robot.urdf.")
     plain_root = Element("robot", name=root.get("name", "robot"))
     followers = {}
@@ -74,6 +79,25 @@ def read_urdf(path: Path, text: str | bytes) -> Urdf:
             followers[name] = mimic.get("joint", ""), float(factor), float(offset)
     plain_text = ElementTree.tostring(plain_root, encoding="unicode")
     return Urdf(text=plain_text, followers=followers, parents=parents, doubts=tuple(findings))
+
+
+def _parse(text: str | bytes) -> Element:
+    """Parse XML, also with prefixes of other tools as ``drake:`` that it does not declare.
+
+    The parsers of URDF know no namespaces, so that nobody misses the declaration.
+    """
+    try:
+        return ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        if error.code != _UNBOUND_PREFIX:
+            raise
+        content = text if isinstance(text, str) else text.decode()
+    prefixes = dict.fromkeys(_PREFIX.findall(content))
+    declared = {"xml", "xmlns", *_DECLARED_PREFIX.findall(content)}
+    declarations = "".join(
+        f' xmlns:{prefix}="{prefix}"' for prefix in prefixes if prefix not in declared
+    )
+    return ElementTree.fromstring(re.sub(r"<robot\b", f"<robot{declarations}", content, count=1))
 
 
 def _require_numbers(path: Path, owner: Element, parent: Element) -> None:

@@ -14,6 +14,7 @@ from cosim.study.starter import start
 from cosim.study.study import Study
 from hesr_model.errors import ConfigError, RobotError
 from hesr_model.friction.model import FrictionModel
+from hesr_model.health.examine import examine
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import identify
 from hesr_model.robots.robot import Robot, RobotDescription, to_description
@@ -320,12 +321,6 @@ ERRORS = [
         [],
         r"ball\.xml: has no revolute or prismatic",
     ),
-    (
-        "arm.urdf",
-        ONE_JOINT.replace('velocity="2"', 'velocity="0.01"'),
-        [],
-        r"joint 'pitch' allow at most 0\.0093",
-    ),
     ("arm.urdf", "<robot", [], r"arm\.urdf: cannot be parsed as a URDF \(.+\)\.$"),
     (
         "arm.urdf.xacro",
@@ -334,6 +329,32 @@ ERRORS = [
         r"first: xacro arm\.urdf\.xacro > arm\.urdf",
     ),
 ]
+
+
+def test_a_slow_joint_has_sample_logs_that_identify_it(tmp_path: Path) -> None:
+    slow = ONE_JOINT.replace('velocity="2"', 'velocity="0.0005"')
+    start(tmp_path / "new", model_file(tmp_path, slow), [])
+    robot = Robot(tmp_path / "new" / "robot.toml")
+    log = Log.read(tmp_path / "new" / "logs" / "sample_training.csv", robot.description)
+    assert 0.0 < np.max(np.abs(log.dq)) < 0.0005
+    assert not examine([log], robot.description, robot).findings
+    assert identify([log], robot).parameters.size
+
+
+# The hand of Baxter's arm: a fixed joint and the link it holds have one name.
+FIXED_NAME = ONE_JOINT.replace(
+    "</robot>",
+    """<joint name="hand" type="fixed"><parent link="arm"/><child link="hand"/></joint>
+    <link name="hand"/>
+    <joint name="grip" type="revolute"><parent link="hand"/><child link="finger"/>
+    <axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="9" velocity="1"/></joint>
+    <link name="finger"/></robot>""",
+)
+
+
+def test_a_link_named_as_its_fixed_joint_can_be_locked(tmp_path: Path) -> None:
+    project = start(tmp_path / "new", model_file(tmp_path, FIXED_NAME), ["pitch"])
+    assert dict(project.locked) == {"grip": 0.0}
 
 
 @pytest.mark.parametrize(("name", "text", "joints", "message"), ERRORS)

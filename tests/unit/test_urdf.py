@@ -223,3 +223,24 @@ def test_a_limit_without_positions_states_none(tmp_path: Path, kind: str) -> Non
     np.testing.assert_array_equal(robot.limits[2], [3.0, 3.0, 3.0])
     checks = {doubt.joints: doubt.check for doubt in robot.doubts}
     assert checks == {("j1",): "no-limits", ("j3",): "odd-limits"}
+
+
+@pytest.mark.parametrize("declaration", ["", ' xmlns:gz="gazebo"'])
+def test_prefixes_of_other_tools_need_no_declaration(declaration: str, tmp_path: Path) -> None:
+    """As those of Drake in files of arms and grippers."""
+    path = chain(tmp_path, {})
+    plain_names = list(model_file.load(path).pin_model.names)
+    text = path.read_text(encoding="utf-8")
+    text = re.sub("<robot", f"<robot{declaration}", text, count=1)
+    text = text.replace("</robot>", '<drake:collision_filter_group name="a"/><gz:x/></robot>')
+    text = text.replace("<axis ", '<axis drake:note="http://a:b" ')
+    path.write_text(text, encoding="utf-8")
+    assert text.count("drake:") > 1
+    assert list(model_file.load(path).pin_model.names) == plain_names
+
+
+def test_a_template_without_a_declaration_is_one_as_well(tmp_path: Path) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_text('<robot name="r"><xacro:include filename="a"/></robot>', encoding="utf-8")
+    with pytest.raises(RobotError, match="is a xacro template"):
+        model_file.load(path)
