@@ -23,13 +23,18 @@ _MAX_TORQUE_DIFFERENCE = 1e-6  # allowed difference from MuJoCo over the largest
 Followers = dict[str, tuple[str, float, float]]  # by name: leader, multiplier, offset
 
 
+_LINK_CHECKS = ("massless-link", "rounded-inertia")  # which concern all joints below a link
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobotModelFile:
     """A model file: Pinocchio's `pin_model` of all its joints, and what else it states.
 
     `rest_positions` are those of joints that do not move; `bodies_below` are the bodies between
-    each joint and the base; `loops` are pairs of bodies that close a chain, and its joints.
-    `gravity` is in [m/s2]; `springs` are the parameters k and const of linear springs.
+    each joint and the base; `joints_above` are the joints between each body and the base; `bodies`
+    are those that joints carry; `loops` are pairs of bodies that close a chain, and its joints.
+    `gravity` is in [m/s2]; `springs` are the parameters k and const of linear springs; `doubts` are
+    those about joints, `link_doubts` those about bodies.
     """
 
     path: Path
@@ -39,8 +44,33 @@ class RobotModelFile:
     rest_positions: dict[str, float]
     followers: Followers
     bodies_below: Mapping[str, frozenset[str]]
+    joints_above: Mapping[str, frozenset[str]]
+    bodies: Mapping[str, str]
+    link_doubts: Mapping[str, Finding]
     loops: Mapping[str, frozenset[str]]
     doubts: tuple[Finding, ...]
+
+    def find_doubts(self, joints: Sequence[str]) -> list[Finding]:
+        """Return the doubts that concern the torques or the ranges of some joints.
+
+        The legs of a walking robot do not concern its arm.
+        """
+        leaders = {name: leader for name, (leader, _, _) in self.followers.items()}
+        moving_names = set(joints) | {name for name, leader in leaders.items() if leader in joints}
+        findings = [
+            doubt
+            for link, doubt in self.link_doubts.items()
+            if self.joints_above.get(link, frozenset()) & moving_names
+        ]
+        for doubt in self.doubts:
+            (name,) = doubt.joints
+            if doubt.check in _LINK_CHECKS:
+                concerned_names = self.joints_above.get(self.bodies.get(name, ""), {name})
+            else:
+                concerned_names = {name}
+            if doubt.check == "held-joint" or moving_names & concerned_names:
+                findings.append(doubt)
+        return findings
 
     def _select_names(self, root: str | None) -> list[str]:
         names = list(self.pin_model.names)[1:]
@@ -186,11 +216,14 @@ def load(path: Path) -> RobotModelFile:
         bodies_below={
             joint: frozenset(chains[link][0]) - {link} for link, (_, joint) in urdf.parents.items()
         },
+        joints_above={link: frozenset(chain[1]) for link, chain in chains.items()},
+        bodies={joint: link for link, (_, joint) in urdf.parents.items()},
+        link_doubts=urdf.doubts,
         loops={
             f"'{a}' and '{b}'": frozenset(set(chains[a][1]) ^ set(chains.get(b, ((), ()))[1]))
             for a, b in compiled.get("loops", ())
         },
-        doubts=(*urdf.doubts, *find_model_doubts(path, pin_model)),
+        doubts=tuple(find_model_doubts(path, pin_model)),
     )
     reference_torques = compiled["check"] if compiled else compute_urdf_torques(urdf.text)
     if reference_torques is not None:

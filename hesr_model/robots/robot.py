@@ -96,10 +96,9 @@ class Robot:
     @cached_property
     def doubts(self) -> tuple[Finding, ...]:
         """Doubtful numbers of the model file, without placeholders; errors first."""
+        file_findings = self._model_file.find_doubts(self.joints)
         if self.description.known is not None:
-            return tuple(
-                finding for finding in self._model_file.doubts if finding.check == "odd-limits"
-            )
+            return tuple(finding for finding in file_findings if finding.check == "odd-limits")
         lower, upper, _ = self.reach
         q = np.random.default_rng(0).uniform(lower, upper, (8, self.n))
         masses, _ = self.dynamics(self.nominal_parameters, q, np.zeros_like(q))
@@ -113,14 +112,12 @@ class Robot:
             self._model_file.path, self.joints, masses, self._limits[3], missing_springs
         )
         rounded_joints = {
-            finding.joints
-            for finding in self._model_file.doubts
-            if finding.check == "rounded-inertia"
+            finding.joints for finding in file_findings if finding.check == "rounded-inertia"
         }
         remaining_findings = (
             f for f in findings if f.check != "no-inertia" or f.joints not in rounded_joints
         )
-        return (*remaining_findings, *self._model_file.doubts)
+        return (*remaining_findings, *file_findings)
 
     @cached_property
     def gravity(self) -> Array:

@@ -30,12 +30,12 @@ _ROUNDING_SLACK = 1e-6  # relative violation of the triangle inequality by round
 
 @dataclass(frozen=True, kw_only=True)
 class Urdf:
-    """A URDF: plain text, mimic joints (leader, multiplier, offset), parents and doubts."""
+    """A URDF: plain text, mimic joints (leader, multiplier, offset), parents and doubts by link."""
 
     text: str
     followers: dict[str, tuple[str, float, float]]
     parents: dict[str, tuple[str, str]]  # parent link and joint of each link
-    doubts: tuple[Finding, ...]
+    doubts: dict[str, Finding]
 
 
 _XACRO = ("/xacro}", "{xacro}")  # ends of the namespace of its elements
@@ -56,14 +56,17 @@ def read_urdf(path: Path, text: str | bytes) -> Urdf:
     plain_root = Element("robot", name=root.get("name", "robot"))
     followers = {}
     parents = {}
-    findings: list[Finding] = []
+    findings: dict[str, Finding] = {}
     for link in root.iterfind("link"):
         plain_link = SubElement(plain_root, "link", name=link.get("name", ""))
         inertial = link.find("inertial")
         if inertial is not None:
             _require_numbers(path, link, inertial)
             plain_link.append(inertial)
-            findings += _find_inertia_doubts(path, link.get("name", ""), inertial)
+            name = link.get("name", "")
+            doubt = _doubt_inertia(path, name, inertial)
+            if doubt is not None:
+                findings[name] = doubt
     for joint in root.iterfind("joint"):
         _require_numbers(path, joint, joint)
         _complete_joint(path, joint)
@@ -78,7 +81,7 @@ def read_urdf(path: Path, text: str | bytes) -> Urdf:
             offset = mimic.get("offset", "0")
             followers[name] = mimic.get("joint", ""), float(factor), float(offset)
     plain_text = ElementTree.tostring(plain_root, encoding="unicode")
-    return Urdf(text=plain_text, followers=followers, parents=parents, doubts=tuple(findings))
+    return Urdf(text=plain_text, followers=followers, parents=parents, doubts=findings)
 
 
 def _parse(text: str | bytes) -> Element:
@@ -144,7 +147,7 @@ def _complete_joint(path: Path, joint: Element) -> None:
         limit.set(key, limit.get(key, "0") if abs(value) < UNLIMITED else f"{value:g}")
 
 
-def _find_inertia_doubts(path: Path, link: str, inertial: Element) -> Iterator[Finding]:
+def _doubt_inertia(path: Path, link: str, inertial: Element) -> Finding | None:
     mass = inertial.find("mass")
     inertia = inertial.find("inertia")
     if mass is not None and float(mass.get("value", "0")) < 0.0:
@@ -153,18 +156,20 @@ def _find_inertia_doubts(path: Path, link: str, inertial: Element) -> Iterator[F
             "correct its <mass>."
         )
     if inertia is None:
-        return
+        return None
     xx, xy, xz, yy, yz, zz = (float(inertia.get(key, "0")) for key in _NUMBERS["inertia"])
     principal = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     excess = principal[2] - principal[0] - principal[1]
-    if principal[0] < -_ROUNDING_SLACK * principal[2] or excess > _ROUNDING_SLACK * principal[2]:
-        numbers = ", ".join(f"{value:.3g}" for value in principal)
-        yield caution(
-            check="impossible-inertia",
-            where=str(path),
-            found=f"the principal moments of inertia of link '{link}' are {numbers} kg.m2",
-            remedy="none may be negative or exceed the sum of the others; correct its <inertia>",
-        )
+    slack = _ROUNDING_SLACK * principal[2]
+    if principal[0] >= -slack and excess <= slack:
+        return None
+    numbers = ", ".join(f"{value:.3g}" for value in principal)
+    return caution(
+        check="impossible-inertia",
+        where=str(path),
+        found=f"the principal moments of inertia of link '{link}' are {numbers} kg.m2",
+        remedy="none may be negative or exceed the sum of the others; correct its <inertia>",
+    )
 
 
 def find_model_doubts(path: Path, pin_model: Any) -> Iterator[Finding]:

@@ -244,3 +244,21 @@ def test_a_template_without_a_declaration_is_one_as_well(tmp_path: Path) -> None
     path.write_text('<robot name="r"><xacro:include filename="a"/></robot>', encoding="utf-8")
     with pytest.raises(RobotError, match="is a xacro template"):
         model_file.load(path)
+
+
+def test_doubts_are_those_of_links_that_the_joints_move(tmp_path: Path) -> None:
+    """Of a walking robot with an arm, neither the trunk nor a leg concerns the arm."""
+    path = chain(tmp_path, {}, {"parent": "base", "more": ""}, {"parent": "j1"}, link={"xx": "0.2"})
+    text = path.read_text(encoding="utf-8").replace('ixx="0.02"', 'ixx="0.2"', 1)
+    path.write_text(text, encoding="utf-8")
+    expected = {
+        ("j1",): ["impossible-inertia"],
+        ("j3",): ["impossible-inertia"],
+        ("j2",): ["no-limits"],
+        ("j1", "j2"): ["impossible-inertia", "no-limits"],
+    }
+    for joints, checks in expected.items():
+        names = [name for name in model_file.load(path).pin_model.names[1:] if name in joints]
+        doubts = Robot(describe(path, *names)).doubts
+        assert sorted(doubt.check for doubt in doubts) == checks, joints
+        assert all("'j3'" in doubt.found for doubt in doubts if not doubt.joints)
