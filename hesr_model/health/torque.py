@@ -558,7 +558,8 @@ def _doubt_peaks(part: SmoothPart, fits: TorqueFits, robot: Robot) -> Iterator[H
             )
         other_shares = [other_share for k, other_share in shares.items() if k != j]
         usual_share = np.median(other_shares) if len(other_shares) > 1 else 0.0
-        if share * _MIN_RATIO_TO_OTHERS < usual_share and fits[j].r2 > _MIN_R2:
+        is_small = share * _MIN_RATIO_TO_OTHERS < usual_share and fits[j].r2 > _MIN_R2
+        if is_small and not _has_scale_of_model(fits[j]):
             yield Hypothesis(
                 check="torque-small",
                 joint=joint,
@@ -567,6 +568,14 @@ def _doubt_peaks(part: SmoothPart, fits: TorqueFits, robot: Robot) -> Iterator[H
                 remedy="its unit or its torque_per_ampere may be wrong",
                 severity="warning",
             )
+
+
+def _has_scale_of_model(fit: TorqueFit) -> bool:
+    """Return whether gravity or inertia surely have the model's size, as of a light wrist."""
+    return any(
+        estimate.t > _SIGNIFICANCE and 1.0 / _MAX_SCALE < estimate.value < _MAX_SCALE
+        for estimate in (fit.gravity, fit.inertia)
+    )
 
 
 _SPEED_WINDOW = 0.1  # averaging window of a speed [s]

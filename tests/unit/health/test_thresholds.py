@@ -317,17 +317,23 @@ def test_torques_are_compared_with_the_limits_of_a_model(model: Robot) -> None:
 def test_a_joint_uses_a_share_of_its_limit_as_the_others_do(
     arm_model: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A thirtieth of the others' share."""
+    """A thirtieth of the others' share, unless gravity or inertia have the size of the model's."""
     rising = np.linspace(0.0, 1.0, 1001)[:, None]
     zeros = np.zeros((1001, 3))
     log = Log(name="run", t=0.01 * np.arange(1001), q=zeros, dq=zeros, tau=zeros)
-    fits = dict.fromkeys(range(3), SOUND_TORQUE)
+    of_friction = replace(SOUND_TORQUE, gravity=of(0.0, 1.0), inertia=of(0.0, 1.0))
+    fits = dict.fromkeys(range(3), of_friction)
     limits = np.array([10.0, 20.0, 30.0])
     monkeypatch.setattr(Robot, "torque_limits", limits)
     for share, is_small in ((1 / 25, False), (1 / 35, True)):
         tau = rising * limits * [0.5 * share, 0.5, 0.5]
         found = check_torque(as_part(log, tau=tau), fits, arm_model, ())
         assert ("torque-small" in checks(found)) == is_small
+        for column in ("gravity", "inertia"):
+            light = {0: replace(of_friction, **{column: of(1.1)})}
+            assert "torque-small" not in checks(
+                check_torque(as_part(log, tau=tau), fits | light, arm_model, ())
+            )
 
 
 GEARED = with_units(TWO, gear_ratio=(7.0, 11.0))
