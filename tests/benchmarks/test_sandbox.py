@@ -87,7 +87,7 @@ import tempfile, time
 from pathlib import Path
 from hesr_model.support.child import Child
 
-for _ in range(6):
+for _ in range(26):
     begin = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         child = Child(Path(folder), 20.0, [Path(folder)], "fmu_src.run.native")
@@ -98,7 +98,10 @@ for _ in range(6):
 
 
 def test_children_start_fast(tell: Tell) -> None:
-    """Target: the first child of a command in 0.6 s, further ones in 50 ms."""
+    """Target: the first child of a command in 0.6 s, further ones in 50 ms, on an idle machine.
+
+    The fastest of many comes near to that on a busy one.
+    """
     firsts, others = [], []
     for _ in range(3):
         command = [sys.executable, "-c", CHILDREN]
