@@ -1,7 +1,7 @@
 """Log files that libraries in C parse: a child reads them and answers numbers and text."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -97,12 +97,16 @@ def has_module(name: str) -> bool:
 
 
 def parse_file(
-    path: Path, kind: str, parser: str, library: str, options: Mapping[str, Any] | None = None
+    path: Path,
+    kind: str,
+    parser: str,
+    libraries: Sequence[str],
+    options: Mapping[str, Any] | None = None,
 ) -> Iterator[ParsedItem]:
     """Yield what a child reads from a file or the folder of a bag; raises LogError.
 
     `parser` is a "module:function" of `hesr_model.logs.parsers`, called with the path and JSON
-    `options`; it uses a `library`. Messages name the `kind` of the file.
+    `options`; it uses `libraries`. Messages name the `kind` of the file.
     """
     file = path.absolute()
     max_bytes = compute_max_bytes(path)
@@ -113,7 +117,7 @@ def parse_file(
                 _SECONDS + _SECONDS_PER_BYTE * max_bytes,
                 [file],
                 f"hesr_model.logs.parsers.{parser.partition(':')[0]}",
-                library,
+                *libraries,
                 total=_TOTAL_SECONDS,
                 memory=_MEMORY + 2 * max_bytes,
             )

@@ -15,6 +15,7 @@ from hesr_model.support.arrays import Array
 from hesr_model.support.extras import install_command
 
 _CHUNK_ROWS = 10_000  # rows written at once
+_LIBRARIES = ("pyarrow.parquet", "pyarrow.compute")
 _KINDS = dict.fromkeys((".parquet", ".pq"), "Parquet")
 _KINDS |= dict.fromkeys((".feather", ".arrow", ".ipc"), "Feather")
 
@@ -50,7 +51,7 @@ def _parse_tables(
     path: Path, kind: str, parser: str, options: Mapping[str, Any]
 ) -> Iterator[LogTable]:
     _require_arrow()
-    for item in parse_file(path, kind, parser, "pyarrow.parquet", options):
+    for item in parse_file(path, kind, parser, _LIBRARIES, options):
         names = tuple(name for name, _ in item.columns)
         yield LogTable(path, names, item.row_count, item.get_cells)
 

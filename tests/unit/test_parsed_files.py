@@ -129,7 +129,7 @@ def test_a_parser_can_read_its_file_only(log: Path, monkeypatch: pytest.MonkeyPa
     secret.write_bytes(b"secret")
     monkeypatch.setattr(parsed_file, "_PARSE", "attackers:yield_what_a_parser_can_do")
     with pytest.raises(LogError) as caught:
-        list(parse_file(log, "a log", "hdf5:parse", "json", {"secret": str(secret)}))
+        list(parse_file(log, "a log", "hdf5:parse", ["json"], {"secret": str(secret)}))
     assert str(caught.value) == "read the log"
     assert {path.name: path.read_bytes() for path in log.parent.iterdir()} == {
         "log.h5": b"content",
@@ -158,7 +158,7 @@ def test_a_parser_that_ends_gives_a_sentence(
         monkeypatch.setattr(parsed_file, "_SECONDS", 0.3)
         monkeypatch.setattr(parsed_file, "_SECONDS_PER_BYTE", 0.0)
     with pytest.raises(LogError, match=reason) as caught:
-        list(parse_file(log, "a log", f"items:{way}", "json"))
+        list(parse_file(log, "a log", f"items:{way}", ["json"]))
     assert (caught.value.code, caught.value.where) == ("file.unreadable", str(log))
 
 
@@ -198,7 +198,7 @@ def test_answers_of_another_form_are_refused(
 
     monkeypatch.setattr(Child, "iterate", iterate)
     with pytest.raises(LogError, match="invalid answer") as caught:
-        list(parse_file(log, "a log", "hdf5:parse", "json"))
+        list(parse_file(log, "a log", "hdf5:parse", ["json"]))
     assert caught.value.code == "file.unreadable"
 
 
@@ -208,7 +208,7 @@ def test_sizes_are_checked_before_memory_is_taken(
 ) -> None:
     monkeypatch.setattr(Child, "_exchange", lambda *_: {"item": {}, "sizes": sizes})
     with pytest.raises(LogError, match="invalid answer"):
-        list(parse_file(log, "a log", "hdf5:parse", "json"))
+        list(parse_file(log, "a log", "hdf5:parse", ["json"]))
 
 
 def test_columns_of_every_type_arrive_as_they_are(
@@ -232,7 +232,7 @@ def test_columns_of_every_type_arrive_as_they_are(
         yield json.loads(json.dumps(data)), list(map(bytearray, buffers))
 
     monkeypatch.setattr(Child, "iterate", iterate)
-    (item,) = parse_file(log, "a log", "hdf5:parse", "json")
+    (item,) = parse_file(log, "a log", "hdf5:parse", ["json"])
     assert isinstance(item, ParsedItem)
     assert (item.row_count, item.names) == (7, [["a"], []])
     for (name, sent), (arrived_name, arrived) in zip(columns, item.columns, strict=True):

@@ -288,7 +288,7 @@ def _read_messages(path: Path, topics: Sequence[str]) -> Iterator[_Message]:
     with open_complete(path) as complete_path:
         options = {"shown": str(path), "topics": list(topics)}
         items = parse_file(
-            complete_path, "a ROS bag", "ros_bag:parse", "rosbags.highlevel", options
+            complete_path, "a ROS bag", "ros_bag:parse", ["rosbags.highlevel"], options
         )
         number = 0
         for item in items:

@@ -21,7 +21,7 @@ def _read(path: Path, log_format: LogFormat) -> LogTable:
             code="log.package",
             where=path,
         )
-    (item,) = parse_file(path, "an Excel workbook", "excel:parse", "openpyxl")
+    (item,) = parse_file(path, "an Excel workbook", "excel:parse", ["openpyxl"])
     (text,) = item.arrays.values()
     return read_text(path, log_format.columns.names, text.tobytes())
 

@@ -22,7 +22,7 @@ def read_hdf5_arrays(path: Path, kind: str, *, transposed: bool = False) -> dict
             where=path,
         )
     (item,) = parse_file(
-        path, f"a {kind}", "hdf5:parse", "h5py", {"kind": kind, "transposed": transposed}
+        path, f"a {kind}", "hdf5:parse", ["h5py"], {"kind": kind, "transposed": transposed}
     )
     return item.arrays
 

@@ -25,7 +25,7 @@ def read_matlab(path: Path, *, time: str) -> LogTable:
     if is_hdf5:
         arrays = read_hdf5_arrays(path, "MATLAB file", transposed=True)
     else:
-        (item,) = parse_file(path, "a MATLAB file", "matlab:parse", "scipy.io")
+        (item,) = parse_file(path, "a MATLAB file", "matlab:parse", ["scipy.io"])
         arrays = item.arrays
     return build_array_table(path, arrays, time)
 
