@@ -283,7 +283,7 @@ def copy_model(path: Path, folder: Path) -> None:
     mesh_names = set(
         map(str, _run_in_child(str(path), "list_shape_meshes", "file", str(path), readable))
     )
-    if mesh_names and source.root is not None:
+    if mesh_names:
         _copy_meshes(source, mesh_names, folder)
         data = ElementTree.tostring(source.root)
     (folder / path.name).write_bytes(data)
@@ -302,7 +302,6 @@ def _copy_meshes(source: MjcfSource, mesh_names: set[str], folder: Path) -> None
         copy_name = f"mesh{number}_{file.name}"
         shutil.copyfile(file, folder / copy_name)
         element.set("file", copy_name)
-    assert source.root is not None
     for compiler in source.root.iter("compiler"):
         for kind in ("assetdir", "meshdir"):
             compiler.attrib.pop(kind, None)

@@ -3,6 +3,7 @@
 import hashlib
 import math
 import os
+import re
 import stat
 from collections.abc import Iterator
 from copy import deepcopy
@@ -22,6 +23,9 @@ _MAX_FILE_BYTES = 1 << 30  # of all files, half of the memory to compile them
 _MAX_SIZE = 1 << 60  # larger numbers in a file are this
 _COPY_BYTES = 1 << 20  # copied at once
 _DEFAULT_MODEL_NAME = "MuJoCo Model"
+_MARKUP = re.compile(rb"<!--|<!\[CDATA\[|<\?|<")
+_ENDS = {b"<!--": b"-->", b"<![CDATA[": b"]]>", b"<?": b"?>"}
+_TAG_END = re.compile(rb"""(?:"[^"]*"|'[^']*'|[^"'<>])*>""")
 _DIRECTORIES = ("assetdir", "meshdir", "texturedir")
 FILE_ATTRIBUTES = ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
 """Attributes of an MJCF that name a file."""
@@ -29,21 +33,19 @@ FILE_ATTRIBUTES = ("file", "fileright", "fileleft", "fileup", "filedown", "filef
 
 @dataclass(kw_only=True, eq=False)
 class _Mjcf:
-    """A parsed file with its includes; `root` is None if MuJoCo will refuse it.
+    """A parsed file with its includes.
 
     Files are relative to one of the `folders`, which are those of the file and its includes.
     """
 
     path: Path
-    root: Element | None
+    root: Element
     folders: list[Path]
     has_includes: bool = False
     has_absolute_include: bool = False
 
     def find_files(self) -> Iterator[tuple[Element, str, Path]]:
         """Yield elements, attributes and files that exist, in every folder that can be meant."""
-        if self.root is None:
-            return
         directories = {""}
         for compiler in self.root.iter("compiler"):
             directories |= {compiler.get(kind, "") for kind in _DIRECTORIES}
@@ -61,8 +63,6 @@ class _Mjcf:
 
     def redirect(self, folder: Path) -> bytes | None:
         """Return the file with absolute names in a folder of copies; None if it has none."""
-        if self.root is None:
-            return None
         root = deepcopy(self.root)
         is_changed = self.has_absolute_include
         for element in root.iter():
@@ -110,8 +110,6 @@ class MjcfSource:
         # Each model has a part. Models that are named twice double from level to level.
         for model in islice(reader.list_models(main, {main.path.resolve()}), _MAX_PARTS + 1):
             mjcf = model.mjcf
-            if mjcf.root is None:
-                continue
             parts += model.copies * _count_parts(mjcf.root)
             cells += model.copies * sum(map(_count_cells, mjcf.root.iter()))
             if mjcf.path in models:
@@ -128,7 +126,7 @@ class MjcfSource:
             if count > limit:
                 raise ConfigError(f"{path}: has {count} {noun}; at most {limit} can be compiled.")
         data = reader.texts[main.path]
-        if main.root is not None and main.has_includes:
+        if main.has_includes:
             data = ElementTree.tostring(main.root)
         return cls(
             path=main.path,
@@ -145,9 +143,9 @@ class MjcfSource:
                 yield from model.find_files()
 
     @property
-    def root(self) -> Element | None:
-        """The model with its includes, None if it cannot be parsed."""
-        return next((model.root for model in self._models if model.path == self.path), None)
+    def root(self) -> Element:
+        """The model with its includes."""
+        return next(model.root for model in self._models if model.path == self.path)
 
     def copy_to(self, folder: Path) -> "MjcfCopy":
         """Copy all files into a folder, at their places below it; raises ConfigError."""
@@ -217,34 +215,34 @@ class _Reader:
         if path not in self._models:
             mjcf = _Mjcf(path=path, root=self._parse(path), folders=[path.parent])
             self._models[path] = mjcf
-            if mjcf.root is not None:
-                self._insert_includes(mjcf, mjcf.root, path.parent, {path})
+            self._insert_includes(mjcf, mjcf.root, path.parent, {path})
         return self._models[path]
 
     def list_models(self, mjcf: _Mjcf, known: set[Path], copies: int = 1) -> Iterator[_Model]:
         """Yield a model and those that it attaches, each once with the number of its copies."""
         yield _Model(mjcf, copies)
-        for element in mjcf.root.iter("model") if mjcf.root is not None else ():
+        for element in mjcf.root.iter("model"):
             for file in (folder / element.get("file", "") for folder in mjcf.folders):
                 if not file.is_file() or file.resolve() in known:
                     continue
                 inner = self.read(file)
-                if mjcf.root is None or inner.root is None:
-                    continue
                 # MuJoCo's default name is that of the model in the file.
                 name = element.get("name", inner.root.get("model", _DEFAULT_MODEL_NAME))
                 attachments = min(_count_attachments(mjcf.root, name), _MAX_PARTS + 1)
                 inner_copies = copies * max(1, attachments)  # it is read also without any
                 yield from self.list_models(inner, known | {file.resolve()}, inner_copies)
 
-    def _parse(self, path: Path) -> Element | None:
+    def _parse(self, path: Path) -> Element:
         if path not in self.texts:
             self.texts[path] = path.read_bytes()
+        # MuJoCo permits dashes in comments.
+        text = _remove_comments(self.texts[path])
+        if b"<!DOCTYPE" in text:
+            # MuJoCo ends it elsewhere than XML does, and would see other elements.
+            raise ConfigError(f"{path}: has a document type (<!DOCTYPE>), which is not read.")
         try:
-            return ElementTree.fromstring(self.texts[path])
-        except ElementTree.ParseError:
-            return None
-        except (LookupError, ValueError) as error:  # an encoding, which MuJoCo ignores
+            return ElementTree.fromstring(text)
+        except (ElementTree.ParseError, LookupError, ValueError) as error:  # or an encoding
             raise ConfigError(
                 f"{path}: cannot be parsed as an MJCF ({on_one_line(error)})."
             ) from error
@@ -266,13 +264,36 @@ class _Reader:
                 mjcf.has_absolute_include |= Path(name).is_absolute()
                 if file.parent not in mjcf.folders:
                     mjcf.folders.append(file.parent)
-                root = self._parse(file)
-                if root is not None:
-                    inner = root
-                    inner_folder = file.parent
+                inner = self._parse(file)
+                inner_folder = file.parent
             self._insert_includes(mjcf, inner, inner_folder, included)
             if inner is not child:
                 element[k : k + 1] = list(inner)
+
+
+def _remove_comments(data: bytes) -> bytes:
+    """Return a file without comments; all from unfinished markup on is kept, for a parser."""
+    parts = []
+    start = 0
+    while (markup := _MARKUP.search(data, start)) is not None:
+        end = _find_end(data, markup)
+        if end < 0:
+            break
+        parts.append(data[start : markup.start()])
+        if markup[0] != b"<!--":
+            parts.append(data[markup.start() : end])
+        start = end
+    return b"".join([*parts, data[start:]])
+
+
+def _find_end(data: bytes, markup: re.Match[bytes]) -> int:
+    """Return where a comment, tag or other markup ends, -1 if it does not."""
+    if markup[0] == b"<":
+        tag_end = _TAG_END.match(data, markup.end())
+        return tag_end.end() if tag_end else -1
+    mark = _ENDS[markup[0]]
+    end = data.find(mark, markup.end())
+    return end + len(mark) if end >= 0 else -1
 
 
 def _find_copy(file: Path, folder: Path) -> Path:
