@@ -158,7 +158,12 @@ def _doubt_inertia(path: Path, link: str, inertial: Element) -> Finding | None:
     if inertia is None:
         return None
     xx, xy, xz, yy, yz, zz = (float(inertia.get(key, "0")) for key in _NUMBERS["inertia"])
-    principal = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    moments = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if not np.all(np.isfinite(moments)):
+        raise RobotError(
+            f"{path}: link '{link}' has an infinite moment of inertia; correct its <inertia>."
+        )
+    principal = np.linalg.eigvalsh(moments)
     excess = principal[2] - principal[0] - principal[1]
     slack = _ROUNDING_SLACK * principal[2]
     if principal[0] >= -slack and excess <= slack:

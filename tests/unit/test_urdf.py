@@ -87,6 +87,8 @@ def test_followers_of_a_locked_joint_rest_with_it(tmp_path: Path) -> None:
             "the axis of joint 'j2' is 0 0 0, which is no direction; give its <axis> a unit "
             "vector.",
         ),
+        ({}, {"xx": "1e999"}, "infinite moment of inertia"),
+        ({}, {"xx": "-inf"}, "infinite moment of inertia"),
         ({}, {"mass": "-1"}, "link 'j2' has a negative mass, -1 kg; correct its <mass>."),
         (
             {"more": LIMIT + '<mimic joint="j9"/>'},
