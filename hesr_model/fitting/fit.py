@@ -20,6 +20,7 @@ from hesr_model.fitting.days import Nuisance, estimate_nuisances, remove_nuisanc
 from hesr_model.fitting.declarative import OneForm
 from hesr_model.fitting.estimator import Estimator, estimator, is_of_session, to_law_name
 from hesr_model.fitting.motion_scale import fit_in_own_units
+from hesr_model.fitting.reach import require_bounded_torque
 from hesr_model.fitting.uncertainty import add_standard_errors, pool_errors
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
@@ -102,6 +103,7 @@ def fit_joint(
     with threadpool_limits(1), _fail_as_fit_error(law_name, joint_records[0].joint):
         law = fit_in_own_units(law_estimator, joint_records, fit_law)
         _require_finite_errors(law)
+        require_bounded_torque(law, joint_records)
         return law
 
 

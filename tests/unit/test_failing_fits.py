@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from joint_data import along, law, path
 
 from hesr_model.errors import ArtifactError, FitError, SimulationError
 from hesr_model.fitting import estimator, fit
 from hesr_model.fitting.fit import fit_joint, fit_models
+from hesr_model.fitting.reach import require_bounded_torque
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.friction.predict import predict
 from hesr_model.laws.baselines import CoulombViscous
@@ -150,3 +152,14 @@ def test_an_unknown_that_one_part_determines_alone_has_a_finite_error() -> None:
     assert law.covariance is not None
     assert np.all(np.isfinite(law.covariance.matrix))
     assert all(0.0 < error < np.inf for error in law.standard_errors.values())
+
+
+def test_a_law_that_leaves_what_was_measured_is_refused() -> None:
+    """A coefficient that the log does not excite may have any value."""
+    true = law("coulomb_viscous", {}, F_c=1.0, sigma_2=0.5, tau_0=0.0)
+    records = [along(true, path(0), noise=0.01)]
+    require_bounded_torque(true, records)
+    for coefficient in ("F_c", "sigma_2"):
+        wild = replace(true, values={**true.values, coefficient: 100.0})
+        with pytest.raises(FitError, match="does not determine"):
+            require_bounded_torque(wild, records)
