@@ -1,4 +1,4 @@
-"""Search for cycles with net energy: sines, moving loads, and pairs of speeds that fail a proof."""
+"""Search for cycles with net energy: sines, pairs of speeds, moving loads, and several tones."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -7,6 +7,7 @@ from itertools import product
 import numpy as np
 
 from hesr_model.audit.audit import AMPLITUDES, choose_loads, compute_responses, measure_cycles
+from hesr_model.audit.tones import CYCLE_TOLERANCE, MIN_SHARE, find_generating_cycle
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import TAU_LOAD
 from hesr_model.friction.law import FrictionLaw
@@ -21,8 +22,6 @@ _FREQUENCY = 1.0  # [Hz]; the last two cycles must agree
 _REVERSAL_DISTANCES = (1.0, 1e-2, 1e-4, 1e-6)  # [rad] between reversals
 _ROWS_PER_DIRECTION = 100
 _SPEED_PAIR_CYCLES = 4
-_MIN_SHARE = 1e-6  # smallest share of the work
-_CYCLE_TOLERANCE = 0.05  # largest relative difference of the last two cycles
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +35,7 @@ class Attack:
     swing: float = 0.0  # [N.m]
     phase: float = 0.0  # [rad]
     back: float | None = None  # [rad/s], constant speed of the return; then forward at `amplitude`
+    tones: str = ""  # velocity of several tones [rad/s], instead of one of `amplitude`
 
     @property
     def text(self) -> str:
@@ -44,6 +44,8 @@ class Attack:
         if self.swing:
             load += f" + {self.swing:.3g} N.m cos(4 pi f t + {self.phase:.2f})"
         motion = f"{self.amplitude:.3g} rad/s cos(2 pi f t)"
+        if self.tones:
+            motion = f"({self.tones}) rad/s"
         if self.back:
             motion = f"{self.amplitude:.3g} rad/s forward and {self.back:.3g} rad/s backward"
         return f"{self.energy:.3g} J per cycle: dq = {motion}, f = {self.frequency:.3g} Hz, {load}"
@@ -54,7 +56,8 @@ def attack(
 ) -> tuple[Attack | None, int]:
     """Return the cycle that generates the most energy, if any, and the number of cycles tried.
 
-    `speeds` are pairs [rad/s] for both directions, tried until one generates energy.
+    `speeds` are pairs [rad/s] for both directions, tried until one generates energy. Cycles of
+    several tones are tried if no other one generates energy.
     """
     attacks = [
         *_try_sine_cycles(law, trained_range),
@@ -63,7 +66,10 @@ def attack(
     if TAU_LOAD in law.form.inputs:
         attacks += _try_loaded_cycles(law, trained_range)
     best = max(attacks, key=lambda a: a.energy)  # the first of equal ones
-    return (best if best.energy > 0.0 else None), len(attacks)
+    if best.energy > 0.0:
+        return best, len(attacks)
+    found, tried_count = _try_tone_cycles(law, trained_range)
+    return found, len(attacks) + tried_count
 
 
 def _try_sine_cycles(law: FrictionLaw, trained_range: TrainedRange) -> Iterator[Attack]:
@@ -71,13 +77,28 @@ def _try_sine_cycles(law: FrictionLaw, trained_range: TrainedRange) -> Iterator[
     loads = choose_loads(law, trained_range)
     for response in compute_responses(law, trained_range, amplitudes, loads, _run):
         for cycle in measure_cycles(*response):
-            energy = -cycle.work if cycle.share < -_MIN_SHARE else 0.0
+            energy = -cycle.work if cycle.share < -MIN_SHARE else 0.0
             yield Attack(
                 energy=energy,
                 amplitude=cycle.amplitude,
                 frequency=cycle.frequency,
                 mean=cycle.tau_load,
             )
+
+
+def _try_tone_cycles(law: FrictionLaw, trained_range: TrainedRange) -> tuple[Attack | None, int]:
+    loads = choose_loads(law, trained_range)
+    cycle, energy, tried_count = find_generating_cycle(law, trained_range, loads)
+    if cycle is None:
+        return None, tried_count
+    found = Attack(
+        energy=energy,
+        amplitude=float(cycle.amplitudes.sum()),
+        frequency=float(cycle.frequency[0]),
+        mean=float(cycle.tau_load[0]),
+        tones=cycle.describe(),
+    )
+    return found, tried_count
 
 
 def _try_two_speed_cycles(
@@ -108,8 +129,8 @@ def _try_two_speed_cycles(
 
 def _last_generated_energy(last_power: Array, previous_power: Array) -> float:
     """Return the energy generated in the last cycle if the last two agree, else 0."""
-    generates = last_power.sum() < -_MIN_SHARE * np.abs(last_power).sum()
-    is_repeated = abs(last_power.sum() - previous_power.sum()) < _CYCLE_TOLERANCE * abs(
+    generates = last_power.sum() < -MIN_SHARE * np.abs(last_power).sum()
+    is_repeated = abs(last_power.sum() - previous_power.sum()) < CYCLE_TOLERANCE * abs(
         last_power.sum()
     )
     return -float(last_power.sum()) if generates and is_repeated else 0.0

@@ -66,8 +66,10 @@ class Certificate:
 
     @property
     def label(self) -> str:
-        """The verdict in words."""
-        return f"tested on {self.sequences} sequences" if self.verdict == "tested" else self.verdict
+        """The verdict in words; without a proof, what was tried."""
+        if self.verdict == "tested":
+            return f"tested on {self.sequences} sequences of one to three tones"
+        return self.verdict
 
 
 class _UnprovenError(Exception):

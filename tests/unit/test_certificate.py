@@ -10,11 +10,13 @@ from oracles.over_log import StatesOverLog
 from oracles.stepper import Stepper
 
 from hesr_model.audit.attack import attack
+from hesr_model.audit.audit import audit
 from hesr_model.audit.certificate import (
     certify,
     find_scale_limits,
     find_storage_factors,
 )
+from hesr_model.audit.tones import ToneCycles, find_generating_cycle, judge_cycles
 from hesr_model.equations.functions import absolute, cardinal_sine, sgn
 from hesr_model.equations.memory import Relaxation, Stop
 from hesr_model.fitting.estimator import registry
@@ -344,8 +346,9 @@ def test_load_is_refuted_as_a_factor_but_not_as_a_bound() -> None:
     assert found.cycle.energy > 1e-7
     assert f"{found.cycle.energy:.3g} J per cycle" in found.cycle.text
     bound = replace(x, bound=2.0 + absolute(TAU_LOAD))
-    # 6 frequencies, 8 amplitudes, 3 loads, and 4 x 8 x 2 small motions with a moving load.
-    assert attack(own(x.state + DQ, bound), TRAINED) == (None, 6 * 8 * 3 + 4 * 8 * 2)
+    # 6 frequencies, 8 amplitudes, 3 loads, 4 x 8 x 2 small motions with a moving load, and tones.
+    tones = 256 + 4 * 16 * 8
+    assert attack(own(x.state + DQ, bound), TRAINED) == (None, 6 * 8 * 3 + 4 * 8 * 2 + tones)
     assert certify(own(x.state + DQ, bound), TRAINED).verdict == "proven"
 
 
@@ -382,3 +385,55 @@ def test_an_offset_does_not_count_as_driving() -> None:
 
 def test_without_an_offset_the_storage_names_none() -> None:
     assert certify(own(DQ), TRAINED).storage == "S = 0"
+
+
+# Dissipates in slow sines; at fast small motion h leads the speed by its derivative.
+FAST = {"alpha": 40.0, "beta": 120.0, "c_0": 0.0, "c_dq": 4.0, "c_h": 4.0, "c_dh": -0.05}
+
+
+def fast() -> FrictionLaw:
+    structure = {"linear": ["1", "dq", "h", "dh"], "units": []}
+    return law_of("parfam_h", structure, **FAST)
+
+
+def test_a_law_that_generates_only_in_fast_tones_is_refuted() -> None:
+    """The cycle goes on to generate energy in a finer simulation from rest."""
+    assert audit(fast(), TRAINED).generated == 0.0  # in sines up to 2 Hz
+    certificate = certify(fast(), TRAINED)
+    assert certificate.verdict == "refuted"
+    cycle, energy, tried_count = find_generating_cycle(fast(), TRAINED, (0.0,))
+    assert cycle is not None
+    assert certificate.cycle is not None
+    assert certificate.cycle.tones == cycle.describe()
+    assert certificate.sequences > tried_count
+    frequency = cycle.frequency[0]
+    t = np.linspace(0.0, 60.0 / frequency, 60 * 1000 + 1)
+    dq = np.zeros_like(t)
+    for multiple, amplitude, phase in zip(
+        cycle.multiples[0], cycle.amplitudes[0], cycle.phases[0], strict=True
+    ):
+        dq += amplitude * np.cos(2.0 * np.pi * multiple * frequency * t + phase)
+    tau = predict(fast(), t=t, dq=dq, q=np.zeros_like(t), tau_load=np.zeros_like(t))
+    work = float(np.trapezoid((tau * dq)[-1001:], t[-1001:]))
+    assert work == pytest.approx(-energy, rel=0.2)
+
+
+def test_a_pair_of_tones_of_a_fitted_law_generates_energy() -> None:
+    """20 Hz of 2 mrad/s and 40 Hz of 8 mrad/s."""
+    pair = ToneCycles(
+        frequency=np.array([20.0]),
+        multiples=np.array([[1, 2, 0]]),
+        amplitudes=np.array([[2e-3, 8e-3, 0.0]]),
+        phases=np.zeros((1, 3)),
+        tau_load=np.zeros(1),
+    )
+    share, energy = judge_cycles(fast(), TRAINED, pair, 60)
+    assert share[0] > 0.1
+    assert energy[0] > 0.0
+
+
+@pytest.mark.parametrize("law", PROVEN, ids=lambda law: law.name)
+def test_no_tones_of_a_proven_law_generate_energy(law: FrictionLaw) -> None:
+    cycle, energy, tried_count = find_generating_cycle(law, TRAINED, (-20.0, 0.0, 30.0))
+    assert (cycle, energy) == (None, 0.0)
+    assert tried_count > 500
