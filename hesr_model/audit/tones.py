@@ -192,4 +192,3 @@ def _join(first: ToneCycles, second: ToneCycles) -> ToneCycles:
     return replace(
         first, **{name: np.concatenate([v, parts[name]]) for name, v in vars(first).items()}
     )
-

@@ -125,7 +125,8 @@ def test_without_logs_only_passivity_is_tested(table1: FrictionModel) -> None:
     report = hesr.test(table1)
     assert report.scores is report.positions is None
     assert report.summary() == (
-        "parfam_h: passivity refuted on joint1, joint2; tested on 816 sequences of one to three tones on joint3."
+        "parfam_h: passivity refuted on joint1, joint2; tested on 816 sequences of one to three "
+        "tones on joint3."
     )
     (finding,) = report.findings
     assert (finding.check, finding.where) == ("passivity", "parfam_h")

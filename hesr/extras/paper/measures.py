@@ -11,15 +11,15 @@ from scipy.special import stdtrit
 from cosim.loop.motions import FourierMotion, Motions
 from cosim.report.tables.table import joints, title
 from hesr.extras.paper.evidence import TWIN, Case, Evidence, Number
-from hesr_model.audit.audit import audit
+from hesr_model.audit.attack import attack
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.separable import Separable
-from hesr_model.friction.built_in import model_file
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.friction.records import rmse
+from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.laws.lugre import LuGre
 from hesr_model.laws.parfam import calibrate
 from hesr_model.laws.parfam.features import HysteresisFeatures
@@ -204,10 +204,10 @@ def memory(evidence: Evidence, case: Case, j: int, *, rest: float) -> float:
 
 
 @_measure_cases
-def audited(evidence: Evidence, case: Case, j: int, *, what: str) -> float:
-    """Return a result of the passivity audit of the literal law: energy [J] or step [N.m]."""
+def generated(evidence: Evidence, case: Case, j: int) -> float:
+    """Return the largest energy [J] that a cycle of the literal law generates."""
     trained_range = case.models[evidence.study.literal].trained[j]
-    return float(getattr(audit(_literal_law(evidence, case, j), trained_range), what))
+    return _find_generated_energy(_literal_law(evidence, case, j), trained_range)
 
 
 @_measure_joints
@@ -216,7 +216,13 @@ def published(evidence: Evidence, j: int) -> float:
     trained_range = (
         next(iter(evidence.cases[TWIN].values())).models[evidence.study.literal].trained[j]
     )
-    return audit(FrictionModel.read(model_file("uf850-table1")).laws[j], trained_range).generated
+    return _find_generated_energy(FrictionModel.read("uf850-table1").laws[j], trained_range)
+
+
+def _find_generated_energy(law: FrictionLaw, trained_range: TrainedRange) -> float:
+    """Return the energy [J] of the cycle that generates most, of sines and several tones."""
+    cycle, _ = attack(law, trained_range)
+    return 0.0 if cycle is None else cycle.energy
 
 
 @_measure_cases
@@ -242,7 +248,7 @@ def kept(evidence: Evidence, case: Case, j: int, *, feature: str = "") -> int:
 def recovery(evidence: Evidence, case: Case, j: int, *, noise: Sequence[float]) -> float:
     """Return the RMSE of the law found on torques of Table I, over their standard deviation."""
     record = case.training_records[j][0]
-    law = FrictionModel.read(model_file("uf850-table1")).laws[j]
+    law = FrictionModel.read("uf850-table1").laws[j]
     true_torque = predict(law, t=record.t, dq=record.dq)
     tau = true_torque + noise[j] * np.random.default_rng(evidence.study.seed).normal(
         size=len(true_torque)
