@@ -13,7 +13,7 @@ from cosim.workflow.arguments import require_choice
 from fmu_src.exporter import Exporter, ExportOption
 from hesr_model.errors import ArgumentError, ConfigError
 from hesr_model.support import plugins
-from hesr_model.support.text import join_with_and
+from hesr_model.support.text import join_with_and, join_with_or
 
 if TYPE_CHECKING:
     from cosim.workflow.arguments import LawArg
@@ -185,7 +185,7 @@ class ExportFormat:
 
     def _refuse_for_formats(self, option_name: str, formats: Sequence[str]) -> NoReturn:
         raise ArgumentError(
-            f"'{option_name}' needs 'format' {' or '.join(formats)}, but the format is "
+            f"'{option_name}' needs 'format' {join_with_or(formats)}, but the format is "
             f"'{self.name}'."
         )
 

@@ -45,8 +45,17 @@ def count_noun(count: int, noun: str) -> str:
 
 def join_with_and(words: Sequence[str]) -> str:
     """Return words as a list in a sentence: "a", "a and b", "a, b and c"."""
+    return _join_words(words, "and")
+
+
+def join_with_or(words: Sequence[str]) -> str:
+    """Return words as alternatives in a sentence: "a", "a or b", "a, b or c"."""
+    return _join_words(words, "or")
+
+
+def _join_words(words: Sequence[str], conjunction: str) -> str:
     *first, last = words
-    return f"{', '.join(first)} and {last}" if first else last
+    return f"{', '.join(first)} {conjunction} {last}" if first else last
 
 
 def join_few(words: Iterable[str], max_count: int = 5) -> str:

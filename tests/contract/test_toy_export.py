@@ -130,12 +130,12 @@ def test_the_command_and_the_function_write_the_file(site: Path, tmp_path: Path)
         ),
         (
             (LAW, "--format", FORMAT, "--top-speed", "1", "--fmi", "3", "-o", "s.csv"),
-            "--fmi needs --format adaptive or drive or fmu or observer or plant, but the format "
+            "--fmi needs --format adaptive, drive, fmu, observer or plant, but the format "
             f"is '{FORMAT}'.",
         ),
         (
             (LAW, "--format", FORMAT, "--top-speed", "1", "--platform", "win64", "-o", "s.csv"),
-            "--platform needs --format adaptive or drive or fmu or observer or plant, but the "
+            "--platform needs --format adaptive, drive, fmu, observer or plant, but the "
             f"format is '{FORMAT}'.",
         ),
         (

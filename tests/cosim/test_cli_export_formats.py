@@ -146,7 +146,7 @@ def test_properties_are_in_the_pages_of_the_fmu(hesr, tmp_path):
         (["--fmi", "4", "-o", "F.fmu"], "Invalid value for '--fmi': '4' is not one of '2', '3'."),
         (
             ["--fmi", "3", "--format", "modelica", "-o", "F.mo"],
-            "--fmi needs --format adaptive or drive or fmu or observer or plant, but the format is "
+            "--fmi needs --format adaptive, drive, fmu, observer or plant, but the format is "
             "'modelica'.",
         ),
         (
@@ -156,7 +156,7 @@ def test_properties_are_in_the_pages_of_the_fmu(hesr, tmp_path):
         (["--project", "-o", "F.fmu"], "--project needs --format mjcf, but the format is 'fmu'."),
         (
             ["--format", "mjcf", "--platform", "win64", "-o", "f.xml"],
-            "--platform needs --format adaptive or drive or fmu or observer or plant, but the "
+            "--platform needs --format adaptive, drive, fmu, observer or plant, but the "
             "format is 'mjcf'.",
         ),
         (
@@ -173,7 +173,7 @@ def test_properties_are_in_the_pages_of_the_fmu(hesr, tmp_path):
         ),
         (
             ["--robot", "robot.toml", "-o", "F.fmu"],
-            "--robot needs --format observer or plant, but the format is 'fmu'.",
+            "--robot needs --format isaaclab, mjcf-joint, observer",
         ),
         (
             ["--format", "plant", "--robot", "robot.toml", "-o", "F.fmu"],
@@ -189,14 +189,14 @@ def test_unsupported_exports_are_refused(hesr, tmp_path, monkeypatch, arguments,
     assert not list(tmp_path.iterdir())
 
 
-def test_only_plants_and_observers_take_a_robot(hesr, study_run, tmp_path, monkeypatch):
+def test_only_formats_of_a_robot_take_a_robot(hesr, study_run, tmp_path, monkeypatch):
     body = ("--robot", uf850("robot.toml"), "--rigid-body", study_run.rigid_body)
     monkeypatch.chdir(tmp_path)
     for format_ in ("fmu", "drive", "adaptive"):
         answer = hesr("export", TABLE_1, *body, "--format", format_, "-o", "F.fmu")
         assert answer.code == 2
-        sentence = "--robot needs --format observer or plant, but the format is"
-        assert f"{sentence} '{format_}'." in answer.err
+        assert "--robot needs --format isaaclab, mjcf-joint, observer" in answer.err
+        assert f"the format is '{format_}'." in answer.err
         assert not list(tmp_path.iterdir())
 
 

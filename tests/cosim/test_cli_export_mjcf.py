@@ -84,7 +84,7 @@ def test_python_hosts_get_the_same_arm(hesr, mjcf, tmp_path):
     [
         (["none.xml", "-o", "A.fmu"], "none.xml: no such model file."),
         (["swing.xml", "-o", "A.zip"], "A.zip: the name of an FMU"),
-        (["broken.xml", "-o", "A.fmu"], "cannot be compiled as an MJCF"),
+        (["broken.xml", "-o", "A.fmu"], "cannot be parsed as an MJCF"),
         (
             ["blind.xml", "-o", "A.fmu"],
             "neither a sensor nor a hinge",
@@ -108,8 +108,7 @@ def test_python_hosts_get_the_same_arm(hesr, mjcf, tmp_path):
         (["swing.urdf", "-o", "A.fmu"], "swing.urdf: cannot be compiled as a URDF ("),
         (
             ["uf850-table1", "-o", "A.fmu", "--format", "python-arm"],
-            "--format is python-arm; allowed are adaptive, c, drive, fmu, jax, mjcf, modelica, "
-            "mujoco-plugin, observer, plant, ssv, ",
+            "--format is python-arm; allowed are adaptive, c, drive,",
         ),
         (["swing.xml", "-o", "A.fmu", "--platform", "vms"], "platform 'vms' is unknown"),
         (

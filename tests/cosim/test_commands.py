@@ -129,10 +129,10 @@ def test_unusable_arguments_are_refused(
         (lambda: hesr.inspect(arm_log), "logs are inspected as files"),
         (lambda: hesr.export(table1, "a", format="x"), "'format' is x; allowed are adaptive, c"),
         (lambda: hesr.export(table1, tmp_path / "a.txt"), "a.txt"),
-        (lambda: hesr.export(table1, "a", robot="r"), "'robot' needs 'format' observer or plant"),
+        (lambda: hesr.export(table1, "a", robot="r"), "'robot' needs 'format' isaaclab,"),
         (
             lambda: hesr.export(table1, "a", format="c", robot="r", rigid_body="b"),
-            "'robot' needs 'format' observer or plant, but the format is 'c'.",
+            "'robot' needs 'format' isaaclab, mjcf-joint,",
         ),
         (
             lambda: hesr.export(table1, "a", stiffness=[1.0]),
