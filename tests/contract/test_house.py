@@ -2,9 +2,12 @@
 
 import ast
 import re
+import subprocess
 from collections import defaultdict
 from collections.abc import Iterator
 
+import pytest
+from documents import ROOT
 from sources import MODULES, layer, tree
 
 KNOWN_DUPLICATES: set[str] = set()
@@ -24,6 +27,12 @@ NOUNS |= {"tuning", "wiring"}
 
 KNOWN_PARTICIPLES: set[str] = set()
 """Modules still named by a participle. Remove renamed entries."""
+
+TOP_LEVEL = {".ci", ".clang-format", ".dockerignore", ".github", ".gitignore"}
+TOP_LEVEL |= {".pre-commit-config.yaml", "CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md"}
+TOP_LEVEL |= {"Dockerfile", "LICENSE", "Makefile", "README.md", "SECURITY.md", "pyproject.toml"}
+TOP_LEVEL |= {"hatch_build.py", "cosim", "docs", "fmu_src", "hesr", "hesr_model", "models", "tests"}
+"""Files and folders of a checkout."""
 
 KNOWN_PRIVATE = {"fmu_src.pages.mathml"}
 """Modules that still use private parts of other libraries. Remove fixed entries."""
@@ -112,3 +121,17 @@ def test_private_parts_of_other_libraries_are_not_used() -> None:
     offenders = {name: found for name, found in offenders.items() if found}
     assert {name: found for name, found in offenders.items() if name not in KNOWN_PRIVATE} == {}
     assert KNOWN_PRIVATE - offenders.keys() == set(), "these are mended: remove them"
+
+
+def test_the_top_level_has_known_names_and_no_links() -> None:
+    """A test that leaves something in the checkout would commit it with the next change."""
+    done = subprocess.run(
+        ["git", "ls-files", "--stage"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    if done.returncode or not done.stdout:
+        pytest.skip("needs a clone with git")
+    entries = [line.split(maxsplit=3) for line in done.stdout.splitlines()]
+    links = [name for mode, _, _, name in entries if mode == "120000"]
+    assert not links
+    top_level = {name.split("/")[0] for *_, name in entries}
+    assert top_level <= TOP_LEVEL
