@@ -441,5 +441,5 @@ def test_missing_or_broken_model_is_refused(plant, tmp_path):
         servo_signals(plant.model_copy(update={"model": tmp_path / "none.xml"}))
     broken = tmp_path / "broken.xml"
     broken.write_text("<mujoco><worldbody>")
-    with pytest.raises(ConfigError, match="cannot be compiled as an MJCF"):
+    with pytest.raises(ConfigError, match="cannot be parsed as an MJCF"):
         servo_signals(plant.model_copy(update={"model": broken}))

@@ -259,7 +259,7 @@ def test_gains_are_checked_for_a_description_made_in_code(arm: RobotDescription)
 def test_a_missing_or_broken_model_file_is_named(arm: RobotDescription, tmp_path: Path) -> None:
     with pytest.raises(RobotError, match=r"none\.urdf: no such model file\.$"):
         Robot(arm.model_copy(update={"model": tmp_path / "none.urdf"}))
-    for name, kind in (("broken.urdf", "parsed as a URDF"), ("broken.xml", "compiled as an MJCF")):
+    for name, kind in (("broken.urdf", "parsed as a URDF"), ("broken.xml", "parsed as an MJCF")):
         path = tmp_path / name
         path.write_text("<robot><link", encoding="utf-8")
         with pytest.raises(RobotError, match=rf"{name}: cannot be {kind} \(.+\)\.$"):
