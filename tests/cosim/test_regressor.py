@@ -31,13 +31,17 @@ EXPECTED = {
 
 
 class OfAnyTable(hesr.FrictionRegressor):
-    """Turn the random numbers of scikit-learn's checks into a reciprocating motion at 100 Hz."""
+    """Turn the random numbers of scikit-learn's checks into a reciprocating motion at 100 Hz.
+
+    It begins slowly: Stribeck friction of fast motion alone is not determined, and refused.
+    """
 
     def _motion(self, values: Any, names: Any) -> MotionTable:
         t = 0.01 * np.arange(len(values))
         if len(values) < 2:
             return read_motion(np.column_stack([t, t, t, t]))  # which refuses it
-        dq = values[:, :1] * (-1.0) ** np.arange(len(values))[:, None]
+        speeds = values[:, 0] * np.linspace(0.02, 1.0, len(values))
+        dq = (speeds * (-1.0) ** np.arange(len(values)))[:, None]
         return MotionTable(t=t, q=np.zeros_like(dq), dq=dq, load=np.zeros_like(dq))
 
 
