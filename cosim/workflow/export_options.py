@@ -28,8 +28,10 @@ class ExportOptions(TypedDict, total=False):
     """drive: Turns of the motor per turn of the joint; by default 1."""
     rigid_body: BodyArg
     """drive: Result of 'hesr identify' with inertia, stiffness and damping of elastic gears.
-    isaaclab, mjcf-joint, observer, plant and urdf-dynamics: Result of 'hesr identify' for
-    'robot'; by default the parameters of the model file."""
+    isaaclab, mjcf-joint and urdf-dynamics: Result of 'hesr identify' for 'robot', which
+    separates friction from the torque of logs; by default that of a law fitted in Python.
+    observer and plant: Result of 'hesr identify' for 'robot'; by default the parameters of the
+    model file."""
     properties: bool
     """fmu: Run the physics checks and add their table to the pages."""
     power: bool
@@ -51,8 +53,8 @@ class ExportOptions(TypedDict, total=False):
     """isaaclab, mjcf-joint and urdf-dynamics: Logs that decide on the price of the numbers; by
     default those of 'log'."""
     weight: Literal["rows", "power"]
-    """isaaclab, mjcf-joint and urdf-dynamics: Weigh each row alike, or by its speed, which
-    keeps the dissipated energy."""
+    """isaaclab, mjcf-joint and urdf-dynamics: Equal weights of rows, or their speeds, which
+    keep the dissipated energy."""
     project: bool
     """mjcf: Approximate a law that MuJoCo cannot express exactly."""
     calibration: LogArg | Iterable[LogArg]

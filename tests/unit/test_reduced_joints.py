@@ -11,12 +11,15 @@ import numpy as np
 import pytest
 from joint_data import along, law, path
 
+import hesr
 from hesr.extras.reduction.creep import DEFAULT_SOLREF, SOLREF, simulate_creep
 from hesr.extras.reduction.formats import compose_isaaclab, compose_mjcf, compose_urdf
 from hesr.extras.reduction.projection import ReducedJoint, project, reduce_model
+from hesr_model.errors import ExportError
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.residual import find_resting_speed
+from hesr_model.support.files import models_folder
 
 PLAIN = law("coulomb_viscous", {}, F_c=3.0, sigma_2=2.0, tau_0=0.0)
 LUGRE = law(
@@ -68,6 +71,19 @@ def test_a_weight_by_speed_keeps_the_energy_where_damping_is_at_its_bound() -> N
         energies[weight] = frictionloss * np.sum(np.abs(dq)) / (tau @ dq)
     assert energies["power"] == pytest.approx(1.0, rel=1e-9)
     assert abs(energies["rows"] - 1.0) > 0.05
+
+
+def test_a_joint_that_stands_still_is_named() -> None:
+    record = along(PLAIN, path(0))
+    still = replace(record, q=np.full_like(record.q, 0.3), dq=np.zeros_like(record.dq))
+    with pytest.raises(ExportError, match="joint 'j1': it stands still in run"):
+        reduce_model(model_of(PLAIN), [[record]], [[still]], None, [0.5])
+
+
+def test_a_law_without_friction_is_refused() -> None:
+    pushing = replace(PLAIN, values={"F_c": -3.0, "sigma_2": -2.0, "tau_0": 0.0})
+    with pytest.raises(ExportError, match="does not oppose motion"):
+        reduce_model(model_of(pushing), [[along(PLAIN, path(0))]], None, None, [0.5])
 
 
 JOINTS = [
@@ -127,9 +143,6 @@ def test_isaac_lab_has_the_numbers() -> None:
 @pytest.mark.ci
 def test_the_price_is_that_of_the_written_file(tmp_path: Path) -> None:
     """Of a law of the measured UR10: recomputed from the numbers in the file, and the best ones."""
-    import hesr
-    from hesr_model.support.files import models_folder
-
     folder = models_folder() / "ur10"
     log = hesr.Log.read(folder / "ur10_excitation.csv", robot=folder / "robot.toml")
     robot = hesr.Robot(folder / "robot.toml")
@@ -143,6 +156,8 @@ def test_the_price_is_that_of_the_written_file(tmp_path: Path) -> None:
         robot=robot,
         rigid_body=body,
     )
+    with pytest.raises(ExportError, match=r"ur10\.txt: a URDF ends"):
+        hesr.export(model, tmp_path / "ur10.txt", format="urdf-dynamics", log=log, robot=robot)
     text = Path(output).read_text(encoding="utf-8")
     numbers = [one.attrib for one in ET.fromstring(text).iter("dynamics")]
     records = model.records(log, rigid_body=body)

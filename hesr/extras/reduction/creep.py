@@ -11,7 +11,7 @@ _DURATION = 1.0  # [s], long against any time constant of the constraint
 
 
 def simulate_creep(joint: ReducedJoint, *, solref: str = SOLREF) -> float:
-    """Return the speed [rad/s] at which MuJoCo lets a held joint slip.
+    """Return the speed [rad/s] of a held joint that slips in MuJoCo.
 
     Parameters
     ----------

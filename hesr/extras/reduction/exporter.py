@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fmu_src.exporter import RIGID_BODY, ROBOT, Exporter, ExportOption
 
 if TYPE_CHECKING:
-    from hesr.extras.reduction.projection import ReducedJoint
     from hesr_model.friction.model import FrictionModel
 
 _OPTIONS = (
     ROBOT,
-    RIGID_BODY,
+    replace(
+        RIGID_BODY,
+        help="Result of 'hesr identify' for 'robot', which separates friction from the torque of "
+        "logs; by default that of a law fitted in Python.",
+    ),
     ExportOption(
         name="log",
         type="log",
@@ -32,21 +36,18 @@ _OPTIONS = (
         name="weight",
         type="str",
         choices=("rows", "power"),
-        help="Weigh each row alike, or by its speed, which keeps the dissipated energy.",
+        help="Equal weights of rows, or their speeds, which keep the dissipated energy.",
     ),
 )
 
 
-def _defer(compose_name: str) -> Callable[..., list[str]]:
-    """Return a writer that imports its format when it is called."""
+def _defer(format_name: str) -> Callable[..., list[str]]:
+    """Return a writer that imports its format when it is called, and returns the price."""
 
     def write(model: FrictionModel, output: Path, **options: Any) -> list[str]:
         from hesr.extras.reduction import formats
 
-        compose: Callable[[Sequence[ReducedJoint], Sequence[str]], str] = getattr(
-            formats, compose_name
-        )
-        return formats.export_reduced(model, output, compose, **options)
+        return formats.export_reduced(model, output, getattr(formats, format_name), **options)
 
     return write
 
@@ -54,18 +55,18 @@ def _defer(compose_name: str) -> Callable[..., list[str]]:
 MJCF_JOINT = Exporter(
     title="damping, frictionloss and armature of joints for MuJoCo",
     suffixes=(".xml",),
-    write=_defer("compose_mjcf"),
+    write=_defer("MJCF_JOINT"),
     options=_OPTIONS,
 )
 URDF_DYNAMICS = Exporter(
     title="damping and friction of joints for a URDF or SDF",
     suffixes=(".urdf", ".xml"),
-    write=_defer("compose_urdf"),
+    write=_defer("URDF_DYNAMICS"),
     options=_OPTIONS,
 )
 ISAACLAB = Exporter(
     title="friction, viscous friction and armature of joints for Isaac Lab",
     suffixes=(".py",),
-    write=_defer("compose_isaaclab"),
+    write=_defer("ISAACLAB"),
     options=_OPTIONS,
 )

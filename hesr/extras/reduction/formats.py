@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -15,16 +16,33 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot
 from hesr_model.support.files import written_whole
+from hesr_model.support.text import join_with_or
 from hesr_model.units import unit_of_joint
 
 _DIGITS = 6
-_INERTIA_ROWS = 200  # positions at which inertias are averaged
+_INERTIA_ROWS = 200  # number of positions for the mean of inertias
+
+
+@dataclass(frozen=True, kw_only=True)
+class TextFormat:
+    """A file with the numbers of joints.
+
+    Attributes
+    ----------
+    noun : its name in messages.
+    suffixes : allowed ones of the file.
+    compose : joints and comments in, text out.
+    """
+
+    noun: str
+    suffixes: tuple[str, ...]
+    compose: Callable[[Sequence[ReducedJoint], Sequence[str]], str]
 
 
 def export_reduced(
     model: FrictionModel,
     path: Path,
-    compose: Callable[[Sequence[ReducedJoint], Sequence[str]], str],
+    text_format: TextFormat,
     *,
     log: Sequence[LogSource],
     test_log: Sequence[LogSource] = (),
@@ -38,39 +56,39 @@ def export_reduced(
     ----------
     model : laws of the joints.
     path : file to write.
-    compose : the format: joints and comments in, text out.
+    text_format : format of the file.
     log : logs at whose speeds and loads the numbers hold, as a rule those of the fit.
     test_log : logs that decide on the price; by default `log`.
     robot : robot of the logs.
     rigid_body : body that separates friction; by default that of the fit.
-    weight : what the projection weighs.
+    weight : weight of a row in the projection.
 
     Raises
     ------
     ExportError
-        If a joint has no friction that opposes motion.
-    LogError, SimulationError
-        If a log cannot be read, or is of another robot.
+        If the file has another suffix, a joint stands still, or its law does not oppose motion.
+    LogError, RobotError, SimulationError
+        If a log cannot be read, or log, body and law are of different robots.
     """
+    if path.suffix not in text_format.suffixes:
+        raise ExportError(
+            f"{path}: {text_format.noun} ends in {join_with_or(text_format.suffixes)}, found "
+            f"'{path.suffix}'."
+        )
     training = _read_records(model, log, robot, rigid_body)
-    tests = _read_records(model, test_log, robot, rigid_body) if test_log else training
+    tests = _read_records(model, test_log, robot, rigid_body) if test_log else None
     body = rigid_body or model.rigid_body
     inertias = _find_mean_inertias(robot, body, training)
     joints = reduce_model(model, training, tests, body, inertias, weight)
-    for joint in joints:
-        if joint.frictionloss == 0.0 and joint.damping == 0.0:
-            raise ExportError(
-                f"joint '{joint.name}': its law does not oppose motion in these logs, so that no "
-                "Coulomb friction and damping stand for it."
-            )
+    price_lines = list(_describe_price(joints, is_held_back=tests is not None))
     comments = [
         f"Friction of '{model.robot}' by the law '{model.law}', reduced to numbers per joint.",
         "They hold at the speeds and loads below, and replace no other term of the law.",
-        *_describe_price(joints, is_held_back=bool(test_log)),
+        *price_lines,
     ]
     with written_whole(path) as temporary:
-        temporary.write_text(compose(joints, comments), encoding="utf-8")
-    return comments[2:]
+        temporary.write_text(text_format.compose(joints, comments), encoding="utf-8")
+    return price_lines
 
 
 def _read_records(
@@ -87,11 +105,10 @@ def _read_records(
 
 
 def _find_mean_inertias(robot: Robot, body: RigidBody | None, records: LogRecords) -> list[float]:
-    """Return what each joint moves [kg.m2], the mean over positions of the logs."""
-    parameters = robot.nominal_parameters if body is None else body.parameters
-    q = np.concatenate(
-        [np.stack([record.q for record in log_records], axis=1) for log_records in records]
-    )
+    """Return the inertia at each joint [kg.m2], the mean over positions of the logs."""
+    parameters = robot.nominal_parameters if body is None else body.parameters_for(robot)
+    positions = [np.stack([record.q for record in log_records], axis=1) for log_records in records]
+    q = np.concatenate(positions)
     step = max(1, len(q) // _INERTIA_ROWS)
     mass_matrices, _ = robot.dynamics(parameters, q[::step], np.zeros_like(q[::step]))
     diagonals = np.diagonal(mass_matrices, axis1=1, axis2=2)
@@ -201,11 +218,11 @@ def _list_hidden_rotors(joints: Sequence[ReducedJoint]) -> Iterator[str]:
     """Yield which joints have no inertia of the rotor of their own."""
     hidden = [joint.name for joint in joints if joint.armature is None]
     if hidden:
-        yield f"Armature is not visible beside the inertia of the links: {', '.join(hidden)}."
+        yield f"Armature is not separated from the inertia of the links: {', '.join(hidden)}."
 
 
 def _compose_xml(root: ET.Element, comments: Sequence[str]) -> str:
-    """Return a document whose comments stand in front of the first child."""
+    """Return a document whose comments precede the first child."""
     for k, comment in enumerate(comments):
         # Two hyphens end a comment.
         root.insert(k, ET.Comment(f" {comment.replace('--', '- -')} "))
@@ -215,3 +232,8 @@ def _compose_xml(root: ET.Element, comments: Sequence[str]) -> str:
 
 def _format(value: float) -> str:
     return f"{value:.{_DIGITS}g}"
+
+
+MJCF_JOINT = TextFormat(noun="an MJCF", suffixes=(".xml",), compose=compose_mjcf)
+URDF_DYNAMICS = TextFormat(noun="a URDF", suffixes=(".urdf", ".xml"), compose=compose_urdf)
+ISAACLAB = TextFormat(noun="a Python module", suffixes=(".py",), compose=compose_isaaclab)

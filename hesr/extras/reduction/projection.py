@@ -5,7 +5,7 @@ A simulator's joint has Coulomb friction F and damping b:
     tau = F sign(dq) + b dq,    F >= 0, b >= 0
 
 Both are least squares of the law's torque over the moving rows of logs, at the loads and speeds of
-these rows. They are never the law's own coefficients: those hold beside the law's other terms.
+these rows. They are never the law's own coefficients, which hold together with its other terms.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,15 +15,17 @@ from typing import Literal
 import numpy as np
 from scipy.optimize import nnls
 
+from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import rmse
+from hesr_model.logs.signals import moving
 from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import find_resting_speed
 from hesr_model.support.arrays import Array, Mask
 
 Weight = Literal["rows", "power"]
-"""What the projection weighs: each moving row alike, or by its speed, which keeps the energy."""
+"""Weight of a moving row: the same for all, or its speed, which keeps the dissipated energy."""
 
 LogRecords = Sequence[Sequence[FrictionRecord]]  # [log][joint]
 
@@ -59,10 +61,10 @@ class ReducedJoint:
     name : of the joint.
     frictionloss : Coulomb friction F [N.m].
     damping : b [N.m.s/rad].
-    armature : inertia of the rotor at the joint [kg.m2]; None if it is not visible beside that of
-        the link.
+    armature : inertia of the rotor at the joint [kg.m2]; None if the body does not separate it
+        from that of the link.
     sliding : whether the units are those of a prismatic joint.
-    inertia : what the joint moves in the mean of the logs, with its rotor [kg.m2].
+    inertia : mean inertia at the joint over the logs, with its rotor [kg.m2].
     price : cost of the reduction.
     """
 
@@ -77,7 +79,7 @@ class ReducedJoint:
 
 @dataclass(frozen=True, kw_only=True)
 class _MovingRows:
-    """Rows of all logs in which a joint moves, with measured friction and that of its law."""
+    """Rows with motion of one joint in all logs, with measured friction and that of its law."""
 
     dq: Array
     tau_load: Array
@@ -88,25 +90,34 @@ class _MovingRows:
 def reduce_model(
     model: FrictionModel,
     training: LogRecords,
-    tests: LogRecords,
+    tests: LogRecords | None,
     body: RigidBody | None,
     inertias: Sequence[float],
     weight: Weight = "rows",
 ) -> list[ReducedJoint]:
     """Return the numbers of each joint from `training`, and their price on `tests`.
 
+    Raises ExportError if a joint does not move, or its law does not oppose its motion.
+
     Parameters
     ----------
     model : laws of the joints.
-    training, tests : measured friction of each joint in each log.
+    training, tests : measured friction of each joint in each log; without tests, the price is
+        that on the training.
     body : body with the inertias of the rotors, if it is known.
-    inertias : what each joint moves in the mean [kg.m2].
-    weight : what the projection weighs.
+    inertias : mean inertia at each joint [kg.m2].
+    weight : weight of a row in the projection.
     """
-    all_rows = zip(_find_moving_rows(model, training), _find_moving_rows(model, tests), strict=True)
+    training_rows = list(_find_moving_rows(model, training))
+    test_rows = training_rows if tests is None else list(_find_moving_rows(model, tests))
     joints = []
-    for j, (training_rows, test_rows) in enumerate(all_rows):
-        frictionloss, damping = project(training_rows.dq, training_rows.tau_law, weight)
+    for j, rows in enumerate(training_rows):
+        frictionloss, damping = project(rows.dq, rows.tau_law, weight)
+        if frictionloss == 0.0 and damping == 0.0:
+            raise ExportError(
+                f"joint '{model.joints[j]}': its law does not oppose motion in these logs, so that "
+                "Coulomb friction and damping cannot replace it."
+            )
         joint = ReducedJoint(
             name=model.joints[j],
             frictionloss=frictionloss,
@@ -114,7 +125,7 @@ def reduce_model(
             armature=_find_armature(body, model.joints[j]),
             sliding=model.slides[j],
             inertia=inertias[j],
-            price=_compute_price(test_rows, frictionloss, damping),
+            price=_compute_price(test_rows[j], frictionloss, damping),
         )
         joints.append(joint)
     return joints
@@ -129,7 +140,7 @@ def project(dq: Array, tau: Array, weight: Weight) -> tuple[float, float]:
     Parameters
     ----------
     dq, tau : velocity (N,) [rad/s] of moving rows, and the law's torque (N,) [N.m].
-    weight : what the projection weighs.
+    weight : weight of a row.
     """
     columns = np.stack([np.sign(dq), dq], axis=1)
     scale = np.max(np.abs(columns), axis=0)
@@ -140,17 +151,22 @@ def project(dq: Array, tau: Array, weight: Weight) -> tuple[float, float]:
 
 
 def _find_moving_rows(model: FrictionModel, records: LogRecords) -> Iterator[_MovingRows]:
-    """Yield the rows of all logs in which each joint moves, joint by joint."""
+    """Yield the moving rows of all logs, joint by joint."""
     torques = [model.predict(log_records) for log_records in records]
     for j in range(len(model.joints)):
         joint_records = [log_records[j] for log_records in records]
         resting_speed = find_resting_speed(joint_records)
-        moving: list[Mask] = [np.abs(record.dq) > resting_speed for record in joint_records]
+        is_moving = [moving(record.dq, resting_speed) for record in joint_records]
+        if not any(np.any(mask) for mask in is_moving):
+            raise ExportError(
+                f"joint '{model.joints[j]}': it stands still in "
+                f"{', '.join(record.log for record in joint_records)}; add logs in which it moves."
+            )
         yield _MovingRows(
-            dq=_join([record.dq for record in joint_records], moving),
-            tau_load=_join([record.tau_load for record in joint_records], moving),
-            tau=_join([record.tau for record in joint_records], moving),
-            tau_law=_join([torque[:, j] for torque in torques], moving),
+            dq=_join([record.dq for record in joint_records], is_moving),
+            tau_load=_join([record.tau_load for record in joint_records], is_moving),
+            tau=_join([record.tau for record in joint_records], is_moving),
+            tau_law=_join([torque[:, j] for torque in torques], is_moving),
         )
 
 
