@@ -245,7 +245,7 @@ def compare(
 
 @dataclass(frozen=True, kw_only=True)
 class _Separation:
-    """What a test says of the laws of one joint.
+    """Separation of the laws of one joint by a test.
 
     Attributes
     ----------

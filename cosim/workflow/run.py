@@ -268,8 +268,8 @@ def run(
     accept : str or sequence of str, optional
         Names of checks whose errors only warn.
     measured : path or sequence of path, optional
-        Study of claims only: studies of measured robots (.toml) on which the
-        claims are judged as well.
+        Study of claims only: studies of measured robots (.toml) that judge the
+        claims as well.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 

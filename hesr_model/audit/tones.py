@@ -72,7 +72,7 @@ class ToneCycles:
 def find_generating_cycle(
     law: FrictionLaw, trained_range: TrainedRange, loads: tuple[float, ...]
 ) -> tuple[ToneCycles | None, float, int]:
-    """Return a cycle that goes on to generate energy, its energy [J], and the number tried."""
+    """Return a cycle that keeps generating energy, its energy [J], and the number tried."""
     rng = np.random.default_rng(0)
     is_even = Q in law.form.inputs
     cycles = _draw_cycles(law, trained_range, loads, rng, is_even=is_even)

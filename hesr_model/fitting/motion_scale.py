@@ -1,4 +1,4 @@
-"""Fits of slow and fast joints in a unit of length in which their peak is that of usual joints.
+"""Fits of slow and fast joints in a unit of length that gives them the peak of usual joints.
 
 Bounds, starts and thresholds of laws are those of usual joints: a fretting rig of 0.3 mm/s, a
 cylinder of 18 mm/s or a motor of 1000 rad/s is outside them. What the law of such a joint learns is

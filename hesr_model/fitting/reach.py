@@ -19,7 +19,7 @@ _ROWS = (50, 2000)  # of a motion in one direction
 
 
 def require_bounded_torque(law: FrictionLaw, joint_records: Sequence[FrictionRecord]) -> None:
-    """Raise FitError if a law leaves what was measured where it was fitted.
+    """Raise FitError if a law far exceeds the measured friction within its logs.
 
     Terms that a log does not excite may have any coefficient. The joint moves to and fro at its
     trained speeds, under its lowest and highest trained load, which a log need not combine.

@@ -138,14 +138,17 @@ class MjcfSource:
 
     def find_files(self) -> Iterator[tuple[Element, str, Path]]:
         """Yield elements of `parse` that name files, attributes and files, without other models."""
-        for model in self._models:
-            if model.path == self.path:
-                yield from model.find_files()
+        yield from self._main.find_files()
 
     @property
     def root(self) -> Element:
         """The model with its includes."""
-        return next(model.root for model in self._models if model.path == self.path)
+        return self._main.root
+
+    @property
+    def _main(self) -> _Mjcf:
+        """The model of the file itself, which is read first."""
+        return self._models[0]
 
     def copy_to(self, folder: Path) -> "MjcfCopy":
         """Copy all files into a folder, at their places below it; raises ConfigError."""

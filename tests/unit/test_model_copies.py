@@ -131,8 +131,8 @@ def test_what_a_child_has_compiled_is_compiled_here(
     path = lay(tmp_path, LAYOUTS["attached"])
     require_success = mjcf._require_success
 
-    def change_after_the_trial(*arguments: object) -> None:
-        require_success(*arguments)  # type: ignore[arg-type]
+    def change_after_the_trial(path: Path, refusal: str) -> None:
+        require_success(path, refusal)
         CHANGES[change](tmp_path / name)
 
     monkeypatch.setattr(mjcf, "_require_success", change_after_the_trial)

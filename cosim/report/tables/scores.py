@@ -101,12 +101,12 @@ def errors(
 
 
 def _find_clear_leader(leaders: Sequence[str]) -> str:
-    """Return the law that no other one ties with; empty if there is none."""
+    """Return the leading law if no other one ties with it, else an empty name."""
     return leaders[0] if len(leaders) == 1 else ""
 
 
 def _describe_ratios(ratios: Ratios) -> str:
-    """Return what the small figures of a table of errors are."""
+    """Return the legend of the small figures in a table of errors."""
     reference = title(ratios.reference)
     if ratios.fair:
         reference = "the strongest classic law of the same inputs or fewer"

@@ -21,11 +21,10 @@ from fmu_src.arm.truth import true_friction
 from fmu_src.friction.friction_fmu import export_bare
 from hesr_model.errors import ArgumentError
 from hesr_model.fitting.fit import fit_models
-from hesr_model.friction.built_in import model_file
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.inference.comparison import law_errors
-from hesr_model.logs.rest import find_travelling
+from hesr_model.logs.rest import find_resting_travel
 from hesr_model.logs.signals import near_reversals
 from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.identification import RigidBody, identify
@@ -266,7 +265,7 @@ def _find_truths(
     return {
         LUGRE: models["lugre"],
         STRAIN_WAVE: strain_wave["strain_wave"],
-        TABLE_1: FrictionModel.read(model_file("uf850-table1")),
+        TABLE_1: FrictionModel.read("uf850-table1"),
     }
 
 
@@ -302,19 +301,18 @@ def _evaluate_measured(job: Job, study: PaperStudy, study_path: Path) -> Case:
 
 
 def select_moving_records(records: Records) -> list[list[FrictionRecord]]:
-    """Return records [joint][part] without the parts in which the joint stands still.
+    """Return records [joint][part] without parts where the joint stands still; all if in each.
 
     At rest friction balances the load: motions of one joint at a time say nothing of the others.
     """
-    moving_records: list[list[FrictionRecord]] = [[] for _ in records]
-    for part_records in zip(*records, strict=True):
-        travelling = find_travelling([np.stack([record.q for record in part_records], axis=1)])
-        for j in np.flatnonzero(travelling):
-            moving_records[j].append(part_records[j])
-    return [
-        moving or list(joint_records)
-        for moving, joint_records in zip(moving_records, records, strict=True)
-    ]
+    parts = zip(*records, strict=True)
+    positions = [np.stack([record.q for record in part], axis=1) for part in parts]
+    resting_travel = find_resting_travel(positions)
+    moving_records = []
+    for j, joint_records in enumerate(records):
+        moving = [record for record in joint_records if np.ptp(record.q) > resting_travel[j]]
+        moving_records.append(moving or list(joint_records))
+    return moving_records
 
 
 def _fit_case(

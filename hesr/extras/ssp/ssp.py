@@ -86,7 +86,7 @@ def write_ssp(contents: SystemContents, path: Path, *, version: Version = "1.0")
 
 
 def _describe_origin(contents: SystemContents) -> dict[str, Any]:
-    """Return what the record of an SSP says of its origin: the FMUs, and their own records."""
+    """Return the origin of an SSP for its record: the FMUs, and their own records."""
     records = {}
     for component in contents.system.components:
         with zipfile.ZipFile(component.fmu) as archive:
