@@ -18,6 +18,7 @@ from scipy.io import savemat
 from hesr_model.errors import ConfigError, LogError
 from hesr_model.health.proposal import inspect_logs
 from hesr_model.logs.log_format import LogFormat
+from hesr_model.logs.parsers import excel
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import RobotDescription
 
@@ -242,6 +243,34 @@ def test_bombs_are_refused(tmp_path: Path) -> None:
             Log.read(tmp_path / name, robot())
     with pytest.raises(LogError, match=r"a\.csv\.gz: unpacks to more than 3\d\d MB\.$"):
         Log.read(tmp_path / "a.csv.gz", robot())
+
+
+@pytest.mark.parametrize(
+    ("text", "hostile"),
+    [
+        ('<row r="20"', '<row r="2000000000"'),
+        ('<row r="20"', '<row r="1e300"'),
+        ('<c r="A', '<c r="XFD'),
+    ],
+)
+def test_skipped_rows_and_cells_of_a_workbook_count(
+    text: str, hostile: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The reader yields the rows that a number skips, and the cells up to the last column."""
+    openpyxl = pytest.importorskip("openpyxl", reason="needs hesr[formats]")
+    monkeypatch.setattr(excel, "compute_max_bytes", lambda _: 1 << 20)
+    book = openpyxl.Workbook(write_only=True)
+    sheet = book.create_sheet("log")
+    for _ in range(20):
+        sheet.append([1.0])
+    book.save(tmp_path / "dense.xlsx")
+    path = tmp_path / "sparse.xlsx"
+    with zipfile.ZipFile(tmp_path / "dense.xlsx") as source, zipfile.ZipFile(path, "w") as target:
+        for name in source.namelist():
+            content = source.read(name).decode()
+            target.writestr(name, content.replace(text, hostile))
+    with pytest.raises(LogError, match="claim more cells than fit"):
+        list(excel.parse(path))
 
 
 @pytest.mark.parametrize(

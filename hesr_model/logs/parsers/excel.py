@@ -14,6 +14,10 @@ from hesr_model.logs.log_table import compute_max_bytes, readable
 from hesr_model.logs.parsers.items import build_item
 from hesr_model.support.child_main import Item
 
+Row = tuple[Any, ...]
+
+_CELL_BYTES = 8  # of an empty cell in memory
+
 
 def parse(path: Path) -> Iterator[Item]:
     """Yield the longest sheet as text, whose lines are the rows of the sheet; raises LogError."""
@@ -28,17 +32,45 @@ def parse(path: Path) -> Iterator[Item]:
                     where=path,
                 )
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
-        sheets = [list(sheet.iter_rows(values_only=True)) for sheet in book.worksheets]
+        max_cells = compute_max_bytes(path) // _CELL_BYTES
+        sheets: list[list[Row]] = []
+        for sheet in book.worksheets:
+            sheets.append(_read_rows(path, sheet, max_cells))
+            max_cells -= sum(_count_cells(row) for row in sheets[-1])
         book.close()
         text = _format_rows(max(sheets, key=len, default=[]))
         yield build_item([("text", np.frombuffer(text, np.uint8))])
 
 
-def _format_rows(rows: list[tuple[Any, ...]]) -> bytes:
-    column_count = max(map(len, rows), default=0)
-    filled_columns = [
-        k for k in range(column_count) if any(k < len(row) and row[k] is not None for row in rows)
-    ]
+def _read_rows(path: Path, sheet: Any, max_cells: int) -> list[Row]:
+    """Return the rows of a sheet; raises LogError for more cells than `max_cells`.
+
+    The reader also yields the rows and cells that the numbers in the file skip, of any number.
+    """
+    rows = []
+    cell_count = 0
+    for row in sheet.iter_rows(values_only=True):
+        cell_count += _count_cells(row)
+        if cell_count > max_cells:
+            raise LogError(
+                f"{path}: its sheets claim more cells than fit into the file.",
+                code="log.too_large",
+                where=path,
+            )
+        rows.append(row)
+    return rows
+
+
+def _count_cells(row: Row) -> int:
+    """Return the cells of a row, and one for the row itself."""
+    return len(row) + 1
+
+
+def _format_rows(rows: list[Row]) -> bytes:
+    filled: set[int] = set()
+    for row in rows:
+        filled.update(k for k, cell in enumerate(row) if cell is not None)
+    filled_columns = sorted(filled)
     file = io.StringIO()
     writer = csv.writer(file, delimiter="\t", lineterminator="\n")
     for row in rows:
