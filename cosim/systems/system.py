@@ -99,15 +99,16 @@ class SystemSpec(Config):
 
 
 def _require_multiple(time: float, step_size: float, subject: str, key: str) -> None:
-    if not time / step_size <= _MAX_STEPS:
+    ratio = time / step_size
+    if not ratio <= _MAX_STEPS:
         raise RuleError(
-            f"{subject} is {time:g} s, {time / step_size:.3g} communication steps of "
+            f"{subject} is {time:g} s, {ratio:.3g} communication steps of "
             f"{step_size:g} s; at most {_MAX_STEPS:g} are allowed",
             code="system.most_steps",
             key=key,
         )
-    step_count = round(time / step_size)
-    if step_count < 1 or abs(time - step_count * step_size) > _MULTIPLE_TOLERANCE * time:
+    # A negative ratio may be infinite, which has no integer.
+    if ratio < 0.5 or abs(time - round(ratio) * step_size) > _MULTIPLE_TOLERANCE * time:
         raise RuleError(
             f"{subject} is {time:g} s; it must be a multiple of the communication step, "
             f"{step_size:g} s",

@@ -304,6 +304,7 @@ def test_hostile_toml_is_refused(text: str, reason: str, refused: Refused, tmp_p
         (1e-300, 1.0, "1e+300 communication steps of 1e-300 s"),
         (1e-3, 1e308, "inf communication steps of 0.001 s"),
         (5e-324, 1e308, "inf communication steps of"),
+        (5e-324, -1e308, "must be a multiple"),
     ],
 )
 def test_too_many_steps_are_refused(
