@@ -25,7 +25,12 @@ from hesr_model.robots.model_file import (
     read_joints,
 )
 from hesr_model.robots.robot import Robot, RobotDescription
-from hesr_model.support.files import is_empty, models_folder
+from hesr_model.support.files import (
+    find_real_path,
+    is_empty,
+    models_folder,
+    refuse_broken_link,
+)
 from hesr_model.support.result_folder import folder_written_whole
 from hesr_model.support.text import join_few, to_toml
 
@@ -132,6 +137,7 @@ def start_twin(folder: Path) -> NewProject:
 
 def require_new(folder: Path) -> None:
     """Raise ConfigError unless a folder is new or empty."""
+    refuse_broken_link(folder)
     if folder.is_file():
         raise ConfigError(f"{folder}: is a file; give a new or an empty folder.")
     if folder.is_dir() and not is_empty(folder):
@@ -140,7 +146,7 @@ def require_new(folder: Path) -> None:
 
 def project_name(folder: Path) -> str:
     """Return the name of a project, from that of its folder."""
-    return re.sub(r"[^A-Za-z0-9_-]+", "_", folder.resolve().name).lstrip("_-") or "study"
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", find_real_path(folder).name).lstrip("_-") or "study"
 
 
 def _template(file: str) -> jinja2.Template:

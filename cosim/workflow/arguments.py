@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hesr_model.errors import ArgumentError, ConfigError
-from hesr_model.support.files import PathArg, to_path
+from hesr_model.support.files import PathArg, require_writable, to_path
 from hesr_model.support.progress import Progress, Stages, report_progress, silent
 
 if TYPE_CHECKING:
@@ -77,6 +77,17 @@ def list_paths(name: str, files: Paths) -> list[Path]:
 def to_optional_path(name: str, file: PathArg | None) -> Path | None:
     """Return text or a path as a Path, and None as None."""
     return None if file is None else to_path(file, f"'{name}'")
+
+
+def to_optional_output(name: str, file: PathArg | None) -> Path | None:
+    """Return the path of a file to write, or None; raise ArtifactError if it cannot be written.
+
+    Work that may take minutes follows.
+    """
+    path = to_optional_path(name, file)
+    if path is not None:
+        require_writable(path)
+    return path
 
 
 def list_logs(name: str, logs: Logs) -> list[LogSource]:

@@ -18,7 +18,7 @@ from cosim.workflow.arguments import (
 )
 from hesr_model.errors import ArgumentError, HesrError
 from hesr_model.support import plugins
-from hesr_model.support.files import PathArg, to_path
+from hesr_model.support.files import PathArg, require_writable, to_path
 from hesr_model.support.progress import Stages, report_progress, silent
 
 if TYPE_CHECKING:
@@ -195,7 +195,9 @@ def _find_writers(files: Mapping[str, PathArg | None]) -> list[tuple[Callable[..
     for name, file in files.items():
         if file:
             write = plugins.find("hesr.findings", name)
-            writers.append((write, to_path(file, f"'{name}'")))
+            path = to_path(file, f"'{name}'")
+            require_writable(path)
+            writers.append((write, path))
     return writers
 
 

@@ -10,7 +10,7 @@ from cosim.workflow.answer import Answer, Written
 from cosim.workflow.arguments import require_choice, require_text, to_optional_path
 from hesr_model.errors import ConfigError, HesrError
 from hesr_model.support import plugins
-from hesr_model.support.files import PathArg, to_path, written_together
+from hesr_model.support.files import PathArg, require_writable, to_path, written_together
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
@@ -150,6 +150,9 @@ def excite(
             f"{path}: the motion is written as a table; the suffix must be one of "
             f"{', '.join(_TABLES)}."
         )
+    backward = path.with_stem(f"{path.stem}_reversed")
+    picture = path.with_suffix(".png")
+    require_writable(path, backward, picture)
     import numpy as np
     from threadpoolctl import threadpool_limits
 
@@ -171,8 +174,6 @@ def excite(
     with threadpool_limits(1):  # threads cost more than they save
         random = random_motions(loaded_robot, limits, _COMPARED, limits.seed)
         conditions = [condition(loaded_robot, base, motion) for motion in random]
-    backward = path.with_stem(f"{path.stem}_reversed")
-    picture = path.with_suffix(".png")
     t, q, dq, ddq = excitation.setpoints()  # [s, rad, rad/s, rad/s2; m for prismatic joints]
     with written_together(path) as new:
         write_table(new(path), {"t": t} | number_columns(q=q, dq=dq, ddq=ddq))

@@ -17,10 +17,11 @@ from cosim.workflow.arguments import (
     read_checked_logs,
     read_model,
     require_mapping,
+    to_optional_output,
 )
 from hesr_model.errors import ArgumentError, HesrError
 from hesr_model.support import plugins
-from hesr_model.support.files import PathArg, newest, provenance, to_path
+from hesr_model.support.files import PathArg, newest, provenance
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
@@ -149,6 +150,7 @@ def fit(
     additions = list_names("add", add)
     priors = list_laws("prior", prior)
     accepted = list_names("accept", accept)
+    output_path = to_optional_output("output", output)
     require_mapping("options", options)
     refinements = plugins.load("hesr.refinements")
     for name in additions:
@@ -198,8 +200,8 @@ def fit(
         progress(f"fitting {name}", 0, 1)
         model, sentences = refinements[name].load()(model, records)
         model = replace(model, provenance={**model.provenance, name: sentences})
-    if output is not None:
-        model.write(to_path(output, "'output'"))
+    if output_path is not None:
+        model.write(output_path)
     if fitted_model is None:
         _log_new_findings(model, checked)
     return model

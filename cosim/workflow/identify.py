@@ -14,9 +14,10 @@ from cosim.workflow.arguments import (
     read_checked_logs,
     read_model,
     require_choice,
+    to_optional_output,
 )
 from hesr_model.errors import ArgumentError
-from hesr_model.support.files import PathArg, provenance, to_path
+from hesr_model.support.files import PathArg, provenance
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
@@ -119,6 +120,7 @@ def identify(
     forward_sources = list_logs("logs", logs)
     backward_sources = list_logs("reversed_logs", reversed_logs)
     accepted = list_names("accept", accept)
+    output_path = to_optional_output("output", output)
     require_choice("method", method, get_args(Method))
     require_choice("body", body, get_args(Body))
     if physical and body in ("nominal", "free"):
@@ -166,8 +168,8 @@ def identify(
     identified_body = replace(
         identified_body, provenance=_provenance(checked, findings, files, carried_payload)
     )
-    if output is not None:
-        identified_body.write(to_path(output, "'output'"))
+    if output_path is not None:
+        identified_body.write(output_path)
     log_findings(findings)
     return identified_body
 

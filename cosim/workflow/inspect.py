@@ -14,7 +14,7 @@ from cosim.workflow.arguments import (
     list_names,
     list_numbers,
     read_logs,
-    to_optional_path,
+    to_optional_output,
 )
 from hesr_model.errors import ArgumentError, HesrError, LogError
 from hesr_model.support.files import PathArg, written_together, written_whole
@@ -211,6 +211,9 @@ def inspect(
     names = list_names("joints", joints, commas=True)
     point_mass = None if payload is None else list_numbers("payload", payload)
     _require_robot(robot, names, write, study)
+    page_path = to_optional_output("output", output)
+    robot_path = to_optional_output("write", write)
+    study_path = to_optional_output("study", study)
     if not torque_constants:
         _refuse_options_of_constants(mass_error, loaded_sources, point_mass)
     if not sources:
@@ -220,7 +223,7 @@ def inspect(
     try:
         proposal = inspect_logs(files, robot, names)
     except ProposalError as refusal:
-        raise _write_refused(refusal, write) from refusal
+        raise _write_refused(refusal, robot_path) from refusal
     constants: Sequence[TorqueConstant] = ()
     if torque_constants:
         constants = _estimate_torque_constants(
@@ -229,7 +232,7 @@ def inspect(
         proposal = apply_constants(proposal, constants)
     severities = {finding.severity for finding in proposal.examination.findings}
     has_errors = "error" in severities
-    written, failure = _write(proposal, output, write, None if has_errors else study)
+    written, failure = _write(proposal, page_path, robot_path, None if has_errors else study_path)
     is_ready = not has_errors and not failure
     return Inspection(
         proposal=proposal,
@@ -288,11 +291,10 @@ def _next_command(write: PathArg | None, study: PathArg | None, *, is_ready: boo
     return f"hesr run {study}" if study else ""
 
 
-def _write_refused(refusal: ProposalError, write: PathArg | None) -> LogError:
+def _write_refused(refusal: ProposalError, robot_path: Path | None) -> LogError:
     """Write what is known of a log that cannot be read; return the refusal."""
     from hesr_model.health.proposal import robot_file
 
-    robot_path = to_optional_path("write", write)
     keys = list(refusal.proposal.undecided)
     if robot_path is None or not keys:
         return refusal
@@ -308,14 +310,11 @@ def _write_refused(refusal: ProposalError, write: PathArg | None) -> LogError:
 
 
 def _write(
-    proposal: Proposal, output: PathArg | None, write: PathArg | None, study: PathArg | None
+    proposal: Proposal, page_path: Path | None, robot_path: Path | None, study_path: Path | None
 ) -> tuple[list[Path], str]:
     """Write what is requested; return the paths, and the reason if the study fails in a dry run."""
     from hesr_model.health.proposal import robot_file
 
-    page_path = to_optional_path("output", output)
-    robot_path = to_optional_path("write", write)
-    study_path = to_optional_path("study", study)
     failure = ""
     if page_path:
         from cosim.report.inspection import write_inspection

@@ -12,7 +12,7 @@ from cosim.workflow.arguments import (
     list_paths,
     require_items,
     require_text,
-    to_optional_path,
+    to_optional_output,
 )
 from hesr_model.errors import ArgumentError
 from hesr_model.support import plugins
@@ -93,7 +93,7 @@ def report(
     require_items("results", folders)
     laws = list_names("law", law)
     require_text("scheme", scheme)
-    path = to_optional_path("output", output)
+    path = to_optional_output("output", output)
     writers = plugins.load("hesr.reports")
     kind = _choose_kind(folders[0], path, writers, view=view)
     if kind in writers and kind != "md":

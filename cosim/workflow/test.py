@@ -21,7 +21,7 @@ from cosim.workflow.arguments import (
     remember_trust,
     require_choice,
     require_number,
-    to_optional_path,
+    to_optional_output,
 )
 from cosim.workflow.fit import passivity
 from hesr_model.errors import ArgumentError, ConfigError, HesrError
@@ -242,11 +242,13 @@ def test(
     kinds = list_names("kind", kind)
     accepted = list_names("accept", accept)
     inertias = None if inertia is None else list_numbers("inertia", inertia)
-    output_path = to_optional_path("output", output)
+    output_path = to_optional_output("output", output)
     if not kinds:
         kinds = ["prediction", "passivity"] if sources else ["passivity"]
     for name in kinds:
         require_choice("kind", name, (*KINDS, *plugins.names("hesr.tests")))
+    if output_path is not None and "properties" not in kinds:
+        raise ArgumentError("'output' is for 'kind' properties, whose results it keeps.")
     require_number("load", load)
     if not isfinite(load):
         raise ArgumentError(f"'load' is {load}; expected a number.")

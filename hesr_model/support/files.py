@@ -87,10 +87,15 @@ def sha256(path: Path) -> str:
 
 @contextmanager
 def room_for(path: Path) -> Iterator[None]:
-    """Report a full or broken disk below `path` as ArtifactError."""
+    """Report a full or broken disk below `path` as ArtifactError.
+
+    An error that names a file of the user is kept: a page may be on another disk than its results.
+    """
     try:
         yield
     except (OSError, ArtifactError) as error:
+        if isinstance(error, ArtifactError) and error.where and not is_temporary(Path(error.where)):
+            raise
         cause = error if isinstance(error, OSError) else error.__cause__
         if isinstance(cause, OSError) and cause.errno in NO_ROOM:
             raise unwritable(path, cause) from cause
@@ -265,9 +270,40 @@ def written_whole(path: Path) -> Iterator[Path]:
             raise unwritable(path, error) from error
 
 
+def require_writable(*paths: Path) -> None:
+    """Raise ArtifactError for the first file that `written_whole` would refuse.
+
+    Commands call this before their work, which may take minutes.
+    """
+    for path in paths:
+        with room_for(path), ExitStack() as cleanup:
+            _prepare_file(path, cleanup)
+
+
+def find_real_path(path: Path) -> Path:
+    """Return an absolute path without links; `Path.resolve` may raise for a link to itself."""
+    return Path(os.path.realpath(path))
+
+
+def refuse_broken_link(path: Path) -> None:
+    """Raise ArtifactError if a path or one of its folders is a link to itself or to nothing.
+
+    A file or folder would be made where the link points, out of the user's sight.
+    """
+    for link in (path, *path.parents):
+        if link.is_symlink() and not link.exists():
+            place = "" if link == path else f"its folder {link} "
+            raise ArtifactError(
+                f"{path}: {place}is a link that leads nowhere; remove it, or give another name.",
+                code="file.broken_link",
+                where=path,
+            )
+
+
 def _prepare_file(path: Path, cleanup: ExitStack) -> Path:
     """Return a temporary path in a scratch folder next to `path`; raises ArtifactError."""
     try:
+        refuse_broken_link(path)
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
         if path.exists() and not path.is_file():  # a file would replace it

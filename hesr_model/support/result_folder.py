@@ -17,7 +17,15 @@ from pathlib import Path
 
 from hesr_model.errors import ArtifactError
 from hesr_model.support import file_locks
-from hesr_model.support.files import HIDDEN, is_temporary, make_scratch_in, room_for, unwritable
+from hesr_model.support.files import (
+    HIDDEN,
+    find_real_path,
+    is_temporary,
+    make_scratch_in,
+    refuse_broken_link,
+    room_for,
+    unwritable,
+)
 from hesr_model.support.open_folder import OpenFolder, exchange, sync_all, walk
 from hesr_model.support.progress import deferred
 
@@ -74,7 +82,8 @@ def describe_leftover(path: Path) -> str:
 @contextmanager
 def _new_folder(path: Path) -> Iterator["_NewFolder"]:
     with room_for(path), ExitStack() as cleanup:
-        target = path.resolve()
+        refuse_broken_link(path)
+        target = find_real_path(path)
         _require_replaceable(path, target)
         try:
             scratch = make_scratch_in(target.parent, cleanup)

@@ -108,6 +108,7 @@ def monitor(
         read_checked_logs,
         read_model,
         require_items,
+        to_optional_output,
         to_optional_path,
     )
     from hesr.extras.adaptive.monitor import watch
@@ -115,18 +116,23 @@ def monitor(
 
     sources = list_logs("logs", logs)
     accepted = list_names("accept", accept)
-    page_path = to_optional_path("output", output)
     require_items("logs", sources)
     first_source = sources[0]
     job = find_job(first_source, "monitor") if isinstance(first_source, Path) else None
     if job is not None:
         if len(sources) > 1 or law or robot or rigid_body or accepted:
             raise ArgumentError(f"{first_source}: a fleet file names its own logs; give it alone.")
-        return job.run(first_source, output=page_path, workers=workers, progress=progress)
+        return job.run(
+            first_source,
+            output=to_optional_path("output", output),
+            workers=workers,
+            progress=progress,
+        )
     if law is None:
         raise ArgumentError("'law' is missing; give a friction model of other logs.")
     if workers is not None:
         raise ArgumentError("'workers' is for a fleet file.")
+    page_path = to_optional_output("output", output)
     model = read_model(law)
     checked_logs = read_checked_logs(sources, robot, accepted, progress)
     records = checked_logs.compute_records(
