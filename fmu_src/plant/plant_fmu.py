@@ -35,7 +35,7 @@ from fmu_src.friction.validity import require_exportable
 from fmu_src.pages.friction_page import drive_html, model_title
 from fmu_src.plant.dynamics import change_header, dynamics_header, tool_header
 from fmu_src.run.reference_results import Stimuli, waves
-from hesr_model.errors import ExportError
+from hesr_model.errors import ArgumentError, ExportError
 from hesr_model.friction.inputs import TAU_LOAD, TORQUE
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
@@ -243,8 +243,8 @@ class ServoGains:
         if kv is None:
             for name, gains in (("ki", ki), ("kp", kp)):
                 if gains is not None:
-                    raise ExportError(
-                        f"plant: '{name}' needs 'kv', the proportional gain of the servo."
+                    raise ArgumentError(
+                        f"'{name}' needs 'kv', the proportional gain of the servo."
                     )
             return None
         integral = (0.0,) * len(kv) if ki is None else ki
@@ -395,6 +395,7 @@ def export_plant(
 
     With `kv` (n,) it includes a servo with a speed command, with `kp` (n,) also a position command,
     and is for co-simulation only. With `tool` it has the pose of the last joint's frame. Raises
+    ArgumentError if a gain needs another one that is missing, and
     ExportError if the friction model belongs to another robot, or a gain is negative.
     """
     check_request(path, platforms)

@@ -28,7 +28,7 @@ from fmu_src.plant.plant_fmu import PlantBody
 from fmu_src.run.fmu import FmuInstance
 from hesr.extras.observer.observation import build_header, export_observer, observe_logs
 from hesr.extras.observer.observer_fmu import ObserverLimits, content, has_wrench, law_limits
-from hesr_model.errors import ExportError, HesrError, LogError
+from hesr_model.errors import ArgumentError, ExportError, HesrError, LogError
 from hesr_model.friction.band import Band
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
@@ -260,7 +260,7 @@ def test_currents_replace_torques(table1: FrictionModel, tmp_path: Path) -> None
 def test_limits_without_calibration_are_those_of_the_law(tmp_path: Path) -> None:
     robot = Robot(UF850)
     model = viscous(robot)
-    with pytest.raises(ExportError, match="has no band; give 'calibration'"):
+    with pytest.raises(ArgumentError, match="has no band; give 'calibration'"):
         law_limits(model)
     band = Band(
         floor=1.0, slow=2.0, slow_speed=0.02, rest=3.0, fast=0.1, load=0.0, tail=0.65, envelope=0.0
@@ -291,7 +291,7 @@ def test_bad_requests_are_refused(table1: FrictionModel, tmp_path: Path) -> None
     with pytest.raises(ExportError, match="'2b' is not a valid C name"):
         export_observer(table1, tmp_path / "2b.h", plant_body=body)
     turned = Robot(coupled(tmp_path))
-    with pytest.raises(ExportError, match="bands are those of coupled motors"):
+    with pytest.raises(ArgumentError, match="bands are those of coupled motors"):
         export_observer(
             viscous(turned), tmp_path / "O.fmu", plant_body=PlantBody.from_robot(turned)
         )

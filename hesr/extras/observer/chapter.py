@@ -11,7 +11,7 @@ from cosim.report.results import Results
 from cosim.report.tables.table import ResultTable, make_row, number
 from hesr.extras.observer.observer_fmu import BANDWIDTH, HERE, ObserverLimits, law_limits
 from hesr_model.equations.low_pass import low_pass_signals
-from hesr_model.errors import ExportError
+from hesr_model.errors import ArgumentError
 from hesr_model.friction.band import shapes
 from hesr_model.friction.model import FrictionModel, mix_models
 from hesr_model.support.arrays import Array
@@ -66,7 +66,7 @@ def external_torque(results: Results) -> dict[str, Any] | None:
     model = mix_models([results.models[law_name] for law_name in results.recommended])
     try:
         limits = law_limits(model)
-    except ExportError:
+    except ArgumentError:
         return None
     rows = []
     largest_excess = 0.0

@@ -23,7 +23,7 @@ from fmu_src.plant.dynamics import dynamics_header, jacobian_header
 from fmu_src.plant.plant_fmu import PlantBody, adapt_to_joint, inertial_parameters, require_fitting
 from fmu_src.run.reference_results import Stimuli, waves
 from hesr_model.equations.functions import larger
-from hesr_model.errors import ExportError
+from hesr_model.errors import ArgumentError, ExportError
 from hesr_model.friction.band import (
     LEVEL,
     NUMBERS,
@@ -69,18 +69,18 @@ class ObserverLimits:
 
 
 def law_limits(model: FrictionModel) -> ObserverLimits:
-    """Return the limits that follow from the bands of a law; ExportError if it has none."""
+    """Return the limits that follow from the bands of a law; ArgumentError if it has none."""
     half_width_numbers = []
     factors = []
     sample_count = HOUR / model.sample_time * len(model.laws)
     for law in model.laws:
         if model.coupling:
-            raise ExportError(
+            raise ArgumentError(
                 f"friction model '{model.law}': its bands are those of coupled motors, not of "
                 "joints; give 'calibration'."
             )
         if law.band is None:
-            raise ExportError(f"friction model '{model.law}' has no band; give 'calibration'.")
+            raise ArgumentError(f"friction model '{model.law}' has no band; give 'calibration'.")
         band_numbers = list(astuple(law.band)[: len(NAMES)])
         if law.band.envelope:  # without measured rests friction is anywhere between both directions
             band_numbers[3] = max(band_numbers[3], 2.0 * holding_torque(law))

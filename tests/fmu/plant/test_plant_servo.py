@@ -14,7 +14,7 @@ from fmu_src.check.run import check
 from fmu_src.export.package import write_fmu
 from fmu_src.plant.plant_fmu import COMMANDS, SUBSTEP, PlantBody, ServoGains, export_plant
 from fmu_src.run.fmu import FmuInstance
-from hesr_model.errors import ExportError, SimulationError
+from hesr_model.errors import ArgumentError, ExportError, SimulationError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.robots.robot import Robot
 
@@ -248,11 +248,11 @@ def test_bad_gains_are_refused(table1: FrictionModel, tmp_path: Path) -> None:
     sentence = "plant: 'kv' of joint 2 is -1"
     with pytest.raises(ExportError, match=re.escape(sentence)):
         export_plant(table1, path, plant_body=body, kv=(1.0, -1.0, 1.0))
-    sentence = "plant: 'ki' needs 'kv', the proportional"
-    with pytest.raises(ExportError, match=re.escape(sentence)):
+    sentence = "'ki' needs 'kv', the proportional"
+    with pytest.raises(ArgumentError, match=re.escape(sentence)):
         export_plant(table1, path, plant_body=body, ki=KI)
-    sentence = "plant: 'kp' needs 'kv', the proportional"
-    with pytest.raises(ExportError, match=re.escape(sentence)):
+    sentence = "'kp' needs 'kv', the proportional"
+    with pytest.raises(ArgumentError, match=re.escape(sentence)):
         export_plant(table1, path, plant_body=body, kp=KP)
 
 
