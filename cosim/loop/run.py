@@ -164,7 +164,7 @@ def write_loops(
     except ExportError as error:
         reason = str(error).rstrip(".")
         observation = f"the loop was not written with a generated plant ({reason})"
-        remedy = "set 'body = \"physical\"' in the study"
+        remedy = 'set body = "physical" in the study'
         return [Finding(check="plant", severity="advice", found=observation, remedy=remedy)]
     write_system(replace_arm(system, plant, gains), folder / "plant_loop.toml")
     return []

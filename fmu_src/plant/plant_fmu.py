@@ -94,7 +94,7 @@ class PlantBody:
             raise ExportError(
                 f"{source} gives the mass matrix of '{self.robot.name}' the eigenvalue "
                 f"{np.min(lowest):.2g} kg.m2, where a plant needs positive ones; use a model file "
-                "with inertias, or identify the body 'physical'."
+                'with inertias, or identify the body with body = "physical".'
             )
 
     @cached_property

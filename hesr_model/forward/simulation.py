@@ -247,7 +247,7 @@ class Simulator:
             if not _is_positive_definite(mass):
                 raise SimulationError(
                     f"robot '{self.robot.description.name}': the identified mass matrix is not "
-                    "positive; identify the body 'physical', or use more logs."
+                    'positive; identify the body with body = "physical", or use more logs.'
                 )
         return np.asarray(np.linalg.inv(mass), dtype=np.float64), bias
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import fakes as stand_ins
 import pytest
 from closed_loop import Bench, write_fmus
+from rotary_bench import write_bench
 from small_fmus import lag
 from small_study import Run
 from small_twin import ALONE
@@ -32,6 +33,12 @@ def lag_fmu(shared: Shared) -> Path:
 def bench(shared: Shared, table1: FrictionModel) -> Bench:
     """The closed loop of the UF850 with the friction of Table I."""
     return Bench.of(shared("loop", lambda folder: write_fmus(folder, table1)), table1)
+
+
+@pytest.fixture(scope="session")
+def rotary_bench(shared: Shared) -> Path:
+    """A bench of one motor with logs, a body, laws with and without band, and an FMU."""
+    return shared("rotary bench", write_bench)
 
 
 @pytest.fixture(scope="session")

@@ -1,20 +1,16 @@
 """Options and commands that refusals print are executed as printed: the refusals go away."""
 
-import json
 import re
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import click
-import numpy as np
 import pytest
 from documents import ROOT
-from rotor import signals
 from small_study import Hesr, hesr_here
 
-import hesr
 from hesr.cli import app
 from hesr.cli.console import MOVED_VERBS
 
@@ -42,8 +38,8 @@ class Refusal:
 OPTIONS = {"options": "--option"} | {
     name: f"--{name.replace('_', '-')}"
     for name in (
-        "robot", "write", "study", "joints", "torque_constants", "law", "prior", "add", "on", "kind",
-        "rigid_body", "format", "inertia", "bench", "gravity", "log", "calibration", "kv",
+        "robot", "write", "study", "joints", "torque_constants", "law", "prior", "add", "on",
+        "kind", "rigid_body", "format", "inertia", "bench", "gravity", "log", "calibration", "kv",
     )
 }  # fmt: skip
 """Options of the parameters that refusals name."""
@@ -112,9 +108,7 @@ REFUSALS = {
     "needs 'format'": Refusal(
         arguments="export {}/law.json -o {}/x.fmu --inertia 0.01", values={"--format": "drive"}
     ),
-    "needs 'bench'": Refusal(
-        arguments="new {}/fresh --inertia 0.01", values={"--bench": "rotary"}
-    ),
+    "needs 'bench'": Refusal(arguments="new {}/fresh --inertia 0.01", values={"--bench": "rotary"}),
     "are for a rotary bench; use 'gravity'": Refusal(
         arguments="new {}/fresh --bench sliding --moment 1 --phase 0",
         values={"--gravity": ""},
@@ -127,42 +121,6 @@ REFUSALS = {
 }
 
 
-@pytest.fixture(scope="session")
-def bench(shared: Callable[[str, Callable[[Path], object]], Path]) -> Path:
-    """A bench of one motor: robot file, two logs, a body, a law, a law without band, an FMU."""
-
-    def make(folder: Path) -> None:
-        hesr.new(folder, bench="rotary")
-        write_log(folder / "run.csv", signals())
-        write_log(folder / "second.csv", signals(seconds=70.0, seed=1))
-        warming = signals(seconds=400.0, rate=50.0)
-        warming["tau"] *= 1.0 + 0.5 * np.exp(-warming["t"] / 60.0)
-        write_log(folder / "warming.csv", warming)
-        robot = hesr.Robot(folder / "robot.toml")
-        body = hesr.identify(folder / "run.csv", robot=robot, output=folder / "body.json")
-        law = hesr.fit(
-            folder / "run.csv", robot=robot, rigid_body=body, law="coulomb_viscous",
-            output=folder / "law.json",
-        )
-        hesr.fit(
-            folder / "run.csv", robot=robot, rigid_body=body, law="lugre",
-            output=folder / "lugre.json",
-        )
-        bare_law = json.loads((folder / "law.json").read_text(encoding="utf-8"))
-        for joint_law in bare_law["joints"]:
-            del joint_law["band"]
-        (folder / "bare.json").write_text(json.dumps(bare_law), encoding="utf-8")
-        hesr.export(law, folder / "Friction.fmu")
-
-    return shared("bench", make)
-
-
-def write_log(path: Path, values: dict[str, np.ndarray]) -> None:
-    columns = {"t": "t", "q1": "q", "dq1": "dq", "tau1": "tau"}
-    rows = np.column_stack([values[quantity] for quantity in columns.values()])
-    np.savetxt(path, rows, "%.9g", ",", header=",".join(columns), comments="")
-
-
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Hesr:
     return hesr_here(capsys, monkeypatch)
@@ -170,9 +128,9 @@ def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.mark.parametrize("words", REFUSALS)
 def test_an_option_that_a_refusal_prints_makes_it_go_away(
-    words: str, bench: Path, run: Hesr, tmp_path: Path
+    words: str, rotary_bench: Path, run: Hesr, tmp_path: Path
 ) -> None:
-    folder = shutil.copytree(bench, tmp_path / "bench")
+    folder = shutil.copytree(rotary_bench, tmp_path / "bench")
     refusal = REFUSALS[words]
     arguments = fill(refusal.arguments, folder)
     answer = run(*arguments)
@@ -232,9 +190,9 @@ PLACEHOLDERS = {
 
 @pytest.mark.parametrize("verb", MOVED_VERBS)
 def test_the_new_form_of_a_verb_is_a_command(
-    verb: str, bench: Path, run: Hesr, monkeypatch: pytest.MonkeyPatch
+    verb: str, rotary_bench: Path, run: Hesr, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(bench)
+    monkeypatch.chdir(rotary_bench)
     _, _, forms = run(verb).err.strip().rstrip(".").partition(" is now: ")
     first_form, *endings = forms.split(", or ")
     if first_form.startswith("make "):
