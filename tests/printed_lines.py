@@ -28,7 +28,7 @@ def execute(robot_text: str, sentence: str) -> str:
 
 def write_line(robot_text: str, table: str, key: str, value: str) -> str:
     """Write a line as a user does: in its table, instead of a line with its key."""
-    assert ast.literal_eval(value) is not None
+    assert value in ("true", "false") or ast.literal_eval(value) is not None
     lines = robot_text.splitlines()
     header = f"[{table}]"
     first = lines.index(header) + 1 if table and header in lines else 0

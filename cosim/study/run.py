@@ -128,6 +128,7 @@ def run_study(
                 gear_ratio=job.robot.gear_ratio is not None,
                 expected=Forecast.from_logs(run.files[name] for name in study.logs.training),
                 refined=run.refined if study.refinement else None,
+                may_refine=not quick,
             )
             write_verdict(folder, run_verdict)
             final_models = dict(models) | write_mixed_model(

@@ -145,10 +145,12 @@ def judge_run(
     gear_ratio: bool,
     expected: Forecast | None = None,
     refined: Mapping[str, RefinementResult] | None = None,
+    may_refine: bool = True,
 ) -> Verdict:
     """Judge a run by its choice of laws and its first test set; records are [joint][log].
 
-    `refined` are the laws refined by output error, None if the study does not refine.
+    `refined` are the laws refined by output error, None if the study does not refine. A run that
+    never refines has `may_refine` false.
     """
     test, comparison = next(iter(comparisons.items()))
     laws = choice.laws
@@ -180,7 +182,7 @@ def judge_run(
             *_list_improvements(
                 models[laws[0]], trained_records, tested_records, gear_ratio=gear_ratio
             ),
-            *_suggest_refinement(trained_records, refined),
+            *(_suggest_refinement(trained_records, refined) if may_refine else ()),
         ),
         simulation=ForSimulation.from_refined(refined or {}),
         joints=joints,

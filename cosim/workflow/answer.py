@@ -49,6 +49,7 @@ def find_job(path: Path, verb: str) -> PluginJob | None:
 
 
 MAX_LINES = 25  # largest number of lines of a summary
+_POINTER = "--verbose"  # in lines that point to what a summary hides
 
 
 class Answer(ABC):
@@ -62,6 +63,11 @@ class Answer(ABC):
     @abstractmethod
     def summary(self) -> str:
         """Return the verdict, then paths, in at most 25 lines."""
+
+    def full_summary(self) -> str:
+        """Return the summary above all tables, which hide nothing that it could point to."""
+        lines = self.summary().splitlines()
+        return "\n".join(line for line in lines if _POINTER not in line)
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return the full tables, with sentences between them."""
@@ -137,6 +143,10 @@ class Written(Answer):
         """Return the lines, then the files."""
         return shorten_lines(self.lines, self.files)
 
+    def full_summary(self) -> str:
+        """Return all lines, then the files."""
+        return "\n".join([*self.lines, *_name_files(self.files)])
+
     def tables(self) -> Sequence[ResultTable | str]:
         """Return the tables."""
         return self.shown
@@ -163,13 +173,17 @@ def shorten_lines(lines: Iterable[str], files: Sequence[Path] = ()) -> str:
     single_lines: list[str] = []
     for line in lines:
         single_lines += line.split("\n")
-    written = [f"Written: {', '.join(map(str, files))}"] if files else []
+    written = _name_files(files)
     limit = MAX_LINES - len(written)
     if len(single_lines) > limit:
         hidden_count = len(single_lines) - limit + 1
         single_lines = single_lines[: limit - 1]
-        single_lines.append(f"{hidden_count} more lines: --verbose shows them.")
+        single_lines.append(f"{hidden_count} more lines: {_POINTER} shows them.")
     return "\n".join([*single_lines, *written])
+
+
+def _name_files(files: Sequence[Path]) -> list[str]:
+    return [f"Written: {', '.join(map(str, files))}"] if files else []
 
 
 def finding_lines(findings: Iterable[Finding]) -> list[str]:

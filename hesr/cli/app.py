@@ -113,7 +113,7 @@ def _invoke(function: Function, arguments: dict[str, Any]) -> None:
 
 
 def _print(answer: "Answer", *, verbose: bool) -> None:
-    summary = answer.summary()
+    summary = answer.full_summary() if verbose else answer.summary()
     if summary:
         click.echo(summary)
     if verbose or answer.shows_tables:

@@ -1,18 +1,23 @@
 """FMUs, alone and as a system."""
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import fakes as stand_ins
 import pytest
 from closed_loop import Bench, write_fmus
+from remedy_places import Place
 from rotary_bench import write_bench
 from small_fmus import lag
-from small_study import Run
+from small_study import Run, hesr_here
 from small_twin import ALONE
 
 from cosim.systems.system import SystemSpec
 from hesr_model.friction.model import FrictionModel
+from hesr_model.logs.robot_log import Log
+from hesr_model.robots.robot import Robot
+from hesr_model.support.files import models_folder
 
 Shared = Callable[[str, Callable[[Path], object]], Path]
 
@@ -69,3 +74,27 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> Callable[..., SystemSpec]:
     """Replace the slaves that masters load by Python ones; give the system description."""
     stand_ins.install(monkeypatch)
     return stand_ins.system
+
+
+@pytest.fixture
+def place(
+    tmp_path: Path,
+    rotary_bench: Path,
+    small_results: Path,
+    lag_fmu: Path,
+    arm_model: Robot,
+    arm_log: Log,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> Place:
+    (tmp_path / "written").mkdir()
+    return Place(
+        folder=tmp_path / "written",
+        bench=shutil.copytree(rotary_bench, tmp_path / "bench"),
+        results=small_results,
+        results_robot=models_folder() / "uf850" / "robot.toml",
+        lag_fmu=lag_fmu,
+        run=hesr_here(capsys, monkeypatch),
+        arm=arm_model,
+        arm_log=arm_log,
+    )

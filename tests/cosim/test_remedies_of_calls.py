@@ -3,7 +3,7 @@
 import re
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,18 +12,21 @@ import pytest
 import sympy
 from printed_lines import write_line
 from pydantic import ValidationError
+from remedy_places import Place, read_quoted, refuse
 from rotor import signals
-from small_study import Hesr, hesr_here, write_study
+from small_study import write_study
 
 import hesr
+from cosim.loop.loops import assemble
+from cosim.loop.run import write_loops
 from cosim.loop.traces import TRACES, copy_loops, read_traces
 from cosim.report.results import Results
 from cosim.study.study import Study
+from fmu_src.arm.plant import Plant
 from fmu_src.plant.plant_fmu import PlantBody
 from hesr.extras.studies.seeds import run_seeds
 from hesr.extras.sweep.study import SweepStudy
 from hesr.extras.view.stage import ViewOptions, choose
-from hesr_model.errors import HesrError, RuleError
 from hesr_model.fitting.law_check import require_usable_space
 from hesr_model.fitting.separable import SearchSpace
 from hesr_model.friction.inputs import DQ
@@ -35,33 +38,6 @@ FORCE = Coefficient(name="force", unit="N.m", description="friction")
 WIDTH = Coefficient(name="width", unit="rad/s", description="width of the step")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Place:
-    """A folder to write in, a bench, results of a study of the twin, and the command line."""
-
-    folder: Path
-    bench: Path
-    results: Path
-    run: Hesr
-    arm: Robot
-    arm_log: Log
-
-
-def refuse(call: Callable[[], Any]) -> str:
-    """Return the sentence of a call that is refused, or "" of one that is not."""
-    try:
-        call()
-    except (HesrError, RuleError, TypeError) as error:
-        return str(error)
-    return ""
-
-
-def read_quoted(sentence: str, after: str) -> list[str]:
-    """Return the names in quotes that a sentence prints after a word."""
-    _, _, remedy = sentence.partition(after)
-    return re.findall(r"'([a-z_.]+)'", remedy)
-
-
 def name_of_robot(place: Place) -> Iterator[str]:
     """A log in memory: its robot is an argument."""
     log = replace(place.arm_log, robot=None)
@@ -70,21 +46,15 @@ def name_of_robot(place: Place) -> Iterator[str]:
     yield refuse(lambda: hesr.identify(log, **{name: place.arm}))
 
 
-def robot_of_a_body(place: Place) -> Iterator[str]:
-    log = Log.read(place.bench / "run.csv", place.bench / "robot.toml")
-    body = hesr.RigidBody.read(place.bench / "body.json")
-    unnamed_log = replace(log, robot=None)
-    yield (sentence := refuse(lambda: body.plot(unnamed_log)))
-    (name,) = read_quoted(sentence, "give")
-    yield refuse(lambda: body.plot(unnamed_log, **{name: log.robot}))
-
-
-def robot_of_friction(place: Place) -> Iterator[str]:
+def robots_of_logs(place: Place) -> Iterator[str]:
+    """A log without its robot: a body separates its friction with the robot as an argument."""
     log = Log.read(place.bench / "run.csv", place.bench / "robot.toml")
     body = hesr.RigidBody.read(place.bench / "body.json")
     unnamed_log = replace(log, robot=None)
     yield (sentence := refuse(lambda: body.separate_friction(unnamed_log)))
     (name,) = read_quoted(sentence, "give")
+    assert read_quoted(refuse(lambda: body.plot(unnamed_log)), "give") == [name]
+    assert not refuse(lambda: body.plot(unnamed_log, **{name: log.robot}))
     yield refuse(lambda: body.separate_friction(unnamed_log, **{name: log.robot}))
 
 
@@ -145,6 +115,31 @@ def body_of_a_plant(place: Place) -> Iterator[str]:
     ((key, value),) = re.findall(r"(body) = \"(\w+)\"", sentence)
     physical_body = hesr.identify(place.arm_log, robot=place.arm, **{key: value})
     yield refuse(lambda: PlantBody.from_robot(place.arm, physical_body))
+
+
+def body_of_a_study(place: Place) -> Iterator[str]:
+    """A study whose body has no plant: the advice prints a line of the study."""
+    body = hesr.RigidBody.read(place.results / "rigid_body.json")
+    study = Study.read(place.results.parent / "study.toml")
+    robot = Robot(place.results_robot)
+    law = {"parfam_h": place.results / "fmus" / "parfam_h.fmu"}
+    plant = Plant.read(place.results_robot.with_name("plant.toml"))
+    loop = assemble(
+        place.results / "fmus", robot, tracking=study.tracking, friction=law, plant=plant
+    )
+    models = {"parfam_h": hesr.FrictionModel.read(place.results / "laws" / "parfam_h.json")}
+
+    def write(parameters: np.ndarray) -> str:
+        changed = replace(body, parameters=parameters)
+        findings = write_loops(loop, robot, changed, models, place.folder)
+        return " ".join(finding.sentence for finding in findings)
+
+    yield (sentence := write(0.0 * body.parameters))
+    ((key, value),) = re.findall(r"set (\w+) = \"(\w+)\" in the study", sentence)
+    text = write_study(place.folder).read_text(encoding="utf-8")
+    (place.folder / "study.toml").write_text(write_line(text, "", key, f"'{value}'"), "utf-8")
+    assert Study.read(place.folder / "study.toml").body == "physical"
+    yield write(robot.nominal_parameters)
 
 
 def unit_of_a_coefficient(_: Place) -> Iterator[str]:
@@ -383,11 +378,13 @@ def source_of_a_constant(place: Place) -> Iterator[str]:
 EXECUTED: dict[str, Callable[[Place], Iterator[str]]] = {
     "the logs do not name their robot; give": name_of_robot,
     "give 'robot' to read this log": robot_of_a_path,
+    "the log does not name its robot; give": robots_of_logs,
     "give 'rigid_body', the result of 'hesr identify', which": body_of_a_law,
     "takes a log, or the arrays": arrays_of_a_prediction,
     "has no band; fit the model to logs": band_of_a_law,
     "coefficients have no covariance": covariance_of_a_prior,
     "body with body = ": body_of_a_plant,
+    'set body = "physical" in': body_of_a_study,
     "has no 'unit'; give it": unit_of_a_coefficient,
     "nor a state; add it to 'coefficients'": coefficient_of_a_law,
     "use the 'symbol' of a coefficient": symbol_of_a_law,
@@ -412,27 +409,6 @@ EXECUTED: dict[str, Callable[[Place], Iterator[str]]] = {
     "state it in the robot file, under": source_of_a_constant,
 }
 """Statements, by words of them, and what provokes and mends each."""
-
-
-@pytest.fixture
-def place(
-    tmp_path: Path,
-    rotary_bench: Path,
-    small_results: Path,
-    arm_model: Robot,
-    arm_log: Log,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> Place:
-    (tmp_path / "written").mkdir()
-    return Place(
-        folder=tmp_path / "written",
-        bench=shutil.copytree(rotary_bench, tmp_path / "bench"),
-        results=small_results,
-        run=hesr_here(capsys, monkeypatch),
-        arm=arm_model,
-        arm_log=arm_log,
-    )
 
 
 @pytest.mark.parametrize("words", EXECUTED)

@@ -11,7 +11,7 @@ from rotor import URDF, signals
 from small_study import Hesr, hesr_here
 
 # The remedy stands behind such a word; what is refused, before it.
-REMEDY = re.compile(r"[;,] (?:name|state|add|list|leave|or state|for the)\b")
+REMEDY = re.compile(r"(?:[;,] (?:name|state|add|list|leave|or state|for the)|needs)\b")
 KEY = re.compile(r"'([a-z_]+(?:\.[a-z_]+)*)'")
 
 ROBOT = """name = "bench"
@@ -42,6 +42,8 @@ class FileRefusal:
     robot : lines of the robot file; `{}` stands for the name of the model file.
     model : text of the model file.
     command : refused command.
+    file : file that the lines are written to.
+    next_refusal : words of what the log is refused for then; empty if it is accepted.
     """
 
     lines: dict[str, tuple[tuple[str, str, str], ...]]
@@ -52,6 +54,7 @@ class FileRefusal:
     model: str = URDF
     command: str = "identify run.csv --robot robot.toml"
     file: str = "robot.toml"
+    next_refusal: str = ""
 
 
 FIRST_LINE = ("", "rotor_inertia", "false")  # as it is
@@ -89,7 +92,7 @@ REFUSALS = {
         columns={"t": "t", "q1": "q", "q2": "q", "dq1": "dq", "tau1": "tau"},
         lines={"log.columns": (("log.columns", "q", "['q1']"),)},
     ),
-    "velocity limit of joint 'j1'": FileRefusal(
+    " of all joints in the table [limits]": FileRefusal(
         robot='name = "arm"\nmodel = "bench.urdf"\njoints = ["j1", "j2"]\n',
         model=ARM.format(velocity="", mass="1", follows=""),
         command="excite robot.toml -o motion.csv --settings settings.toml",
@@ -101,6 +104,12 @@ REFUSALS = {
         model=ARM.format(velocity=' velocity="2"', mass="1", follows=""),
         command="excite robot.toml -o motion.csv --settings settings.toml",
         lines={"springs": (("", "springs", "['j2']"), ("", "balancers", "[]"))},
+    ),
+    "needs 'rotor_inertia' and excludes": FileRefusal(
+        columns={"t": "t", "q1": "q", "dq1": "dq", "tau1": "tau", "link": "q"},
+        robot=ROBOT + "[log.columns]\nq_link = ['link']\n",
+        lines={"rotor_inertia": (("", "rotor_inertia", "true"),)},
+        next_refusal="does not show the twist of a gear",
     ),
     "leave it out of 'joints' and 'locked'": FileRefusal(
         robot='name = "arm"\nmodel = "bench.urdf"\njoints = ["j1", "j2"]\n',
@@ -149,4 +158,7 @@ def test_a_key_that_a_refusal_prints_makes_it_go_away(
             changed = write_line(changed, table, key, value)
         path.write_text(changed, encoding="utf-8")
         after = run(*refusal.command.split())
-        assert after.code == 0, (lines, after)
+        if refusal.next_refusal:
+            assert refusal.next_refusal in after.err
+        else:
+            assert after.code == 0, (lines, after)

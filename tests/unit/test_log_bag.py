@@ -158,6 +158,24 @@ def test_joints_of_messages_may_have_other_names(tmp_path: Path) -> None:
     np.testing.assert_array_equal(log.q, content()["position"][:, ::-1])
 
 
+def test_keys_that_refusals_print_make_them_go_away(tmp_path: Path) -> None:
+    """A bag whose topic or joints have other names: each refusal names the key that maps them."""
+    other_topic = write(tmp_path / "topic", messages(), topic="/arm/states")
+    other_joints = write(tmp_path / "joints", messages())
+    cases = (
+        (other_topic, "name one under 'log.bag.", JOINTS, {"topic": "/arm/states"}),
+        (other_joints, "map names under 'log.bag.", ("first", "second"), {"joints": JOINTS}),
+    )
+    for folder, words, joints, bag in cases:
+        with pytest.raises(LogError) as refusal:
+            Log.read(folder, robot(joints=joints))
+        _, found, key = str(refusal.value).partition(words)
+        assert found
+        assert key.partition("'")[0] in bag
+        changed = robot(joints=joints, bag=LogBag(**bag))
+        assert len(Log.read(folder, changed).t) == N
+
+
 def test_joints_may_be_spread_over_topics(tmp_path: Path) -> None:
     """Motors with drivers of their own: b is logged at half the rate and starts later."""
     topics = {"/a": [message(k, ("a",)) for k in range(N)]}

@@ -40,9 +40,7 @@ def _run(
         raise ArgumentError(f"'{option_names[0]}' is for a study of laws; omit it for {path}.")
     study = PaperStudy.read(path).with_measured(measured)
     folder = output or Path("results") / study.name
-    command = f"hesr run {path.stem if path.is_absolute() else path.as_posix()}"
-    if measured:
-        command += f" --measured {','.join(file.as_posix() for file in measured)}"
+    command = replay_command(path, measured)
     with folder_written_whole(folder) as temporary, parallel.one_pool("hesr_model.fitting.fit"):
         result = PaperResult.from_evidence(
             gather_evidence(study, path, temporary / "fmus", progress), command
@@ -55,6 +53,12 @@ def _run(
         shown=[*tables(result).values()],
         data=to_json(result),
     )
+
+
+def replay_command(path: Path, measured: Sequence[Path]) -> str:
+    """Return the command that repeats the study."""
+    command = f"hesr run {path.stem if path.is_absolute() else path.as_posix()}"
+    return command + "".join(f" --measured {file.as_posix()}" for file in measured)
 
 
 JOB = PluginJob("run", "claims", _run)

@@ -1,6 +1,5 @@
 """Lines that findings print are lines of a robot file, and make their statements go away."""
 
-import ast
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -9,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from printed_lines import execute, read_settings, write_line
+from remedy_texts import read_texts
 
 from hesr_model import health
 from hesr_model.errors import LogError
@@ -217,33 +217,6 @@ def test_a_line_without_a_change_makes_its_sentence_go_away(words: str, tmp_path
     before, after = EXECUTED[words](tmp_path)
     assert words in before
     assert after == ""
-
-
-def read_texts(path: Path) -> Iterator[str]:
-    """Yield the texts of a module that are no docstrings, with gaps for values."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    pieces = {
-        id(piece)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.JoinedStr)
-        for piece in ast.walk(node)
-        if piece is not node
-    }
-    docstrings = {
-        id(node.body[0].value)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Module | ast.FunctionDef | ast.ClassDef)
-        and isinstance(node.body[0], ast.Expr)
-    }
-    for node in ast.walk(tree):
-        if id(node) in pieces | docstrings:
-            continue
-        if isinstance(node, ast.JoinedStr):
-            yield "".join(
-                str(part.value) if isinstance(part, ast.Constant) else "{}" for part in node.values
-            )
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            yield node.value
 
 
 def test_every_command_and_line_of_a_check_is_executed() -> None:
