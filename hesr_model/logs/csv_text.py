@@ -5,6 +5,7 @@ import codecs
 import csv
 import gzip
 import io
+import logging
 import lzma
 import re
 import warnings
@@ -31,6 +32,8 @@ from hesr_model.logs.log_table import (
 )
 from hesr_model.support.arrays import Array
 from hesr_model.support.text import format_settings
+
+_log = logging.getLogger(__name__)
 
 _MAX_CSV = 2**31 - 2  # bytes
 _MAX_LINE_LENGTH = 2**24  # characters
@@ -286,10 +289,26 @@ def _count_cells(line: str, delimiter: str) -> int:
 
 
 def _read_lines(file: TextIO) -> Iterator[str]:
+    """Yield the lines of a text, up to a tail of NUL bytes."""
+    has_lines = False
     while line := file.readline(_MAX_LINE_LENGTH):
-        if "\0" in line or (len(line) == _MAX_LINE_LENGTH and not line.endswith("\n")):
+        # Loggers allocate files ahead; what they did not write is NUL.
+        text = line.rstrip("\0") if has_lines else line
+        is_too_long = len(text) == _MAX_LINE_LENGTH and not text.endswith("\n")
+        if "\0" in text or is_too_long:
             raise csv.Error("not a line of text")
-        yield line
+        if text:
+            has_lines = True
+            yield text
+        if text != line:
+            _require_nul(file)
+            return
+
+
+def _require_nul(file: TextIO) -> None:
+    while tail := file.read(_MAX_LINE_LENGTH):
+        if tail.strip("\0"):
+            raise csv.Error("not a line of text")
 
 
 def _build_csv_error(path: Path) -> LogError:
@@ -321,6 +340,7 @@ def _read_chunks(dialect: _Dialect, chunk_rows: int = 0) -> Iterator[_Chunk]:
                 )
             require_columns(dialect.path, len(names))
             yield _Chunk(names, [], [], dialect.decimal)
+            lists = _ListCells()
             lines_below = enumerate(lines, start=dialect.first_line)
             while chunk := list(
                 islice(lines_below, chunk_rows or max(1, _CHUNK_CELLS // len(names)))
@@ -328,11 +348,77 @@ def _read_chunks(dialect: _Dialect, chunk_rows: int = 0) -> Iterator[_Chunk]:
                 rows = {
                     k: line for k, line in chunk if line.strip(" \r\n")[:1] not in _COMMENT_MARKS
                 }
+                _remove_torn_row(rows, dialect, len(names))
                 if rows:
                     columns = list(_parse_columns(rows, dialect, len(names)))
-                    yield _Chunk(names, list(rows), columns, dialect.decimal)
+                    columns_by_name = lists.expand(dialect.path, names, columns)
+                    yield _Chunk(
+                        [name for name, _ in columns_by_name],
+                        list(rows),
+                        [cells for _, cells in columns_by_name],
+                        dialect.decimal,
+                    )
     except (UnicodeDecodeError, csv.Error) as error:
         raise _build_csv_error(dialect.path) from error
+
+
+def _remove_torn_row(rows: dict[int, str], dialect: _Dialect, column_count: int) -> None:
+    """Remove the last line of a file if its writer was killed within it."""
+    number = max(rows, default=0)
+    if number == 0 or rows[number].endswith(("\n", "\r")):
+        return
+    cells = next(csv.reader([rows[number]], delimiter=dialect.delimiter), [])
+    if 0 < len(cells) < column_count and number > dialect.first_line:
+        _log.warning("%s: its last row, %d, is cut off and was left out.", dialect.path, number)
+        del rows[number]
+
+
+class _ListCells:
+    """Lists of numbers in cells, such as ``[0.1, 0.2]``, that become a column for each number."""
+
+    def __init__(self) -> None:
+        self._lengths: dict[int, int] | None = None  # by column, from the first rows
+
+    def expand(
+        self, path: Path, names: Sequence[str], columns: Sequence[Any]
+    ) -> list[tuple[str, Any]]:
+        """Return names and cells of all columns; raises LogError for lists that differ."""
+        if self._lengths is None:
+            self._lengths = {
+                k: len(_parse_list(cells[0]))
+                for k, cells in enumerate(columns)
+                if not isinstance(cells, np.ndarray) and _parse_list(cells[0])
+            }
+            require_columns(path, len(columns) + sum(self._lengths.values()))
+        expanded: list[tuple[str, Any]] = []
+        for k, (name, cells) in enumerate(zip(names, columns, strict=True)):
+            if k not in self._lengths:
+                expanded.append((name, cells))
+                continue
+            lists = [_parse_list(cell) for cell in cells]
+            lengths = {len(numbers) for numbers in lists}
+            if lengths != {self._lengths[k]}:
+                raise LogError(
+                    f"{path}: lists in column '{name}' have {min(lengths)} to {max(lengths)} "
+                    f"numbers; the first has {self._lengths[k]}.",
+                    code="log.lists",
+                    where=path,
+                    key=name,
+                )
+            for number, numbers in enumerate(np.array(lists, dtype=float).T, start=1):
+                expanded.append((f"{name}_{number}", numbers))
+        return expanded
+
+
+def _parse_list(cell: str) -> list[float]:
+    """Return the numbers of a cell with a list, none of any other cell."""
+    text = cell.strip()
+    if not (text.startswith("[") and text.endswith("]")):
+        return []
+    numbers = text[1:-1].split(",")
+    with suppress(ValueError):
+        return [float(number) for number in numbers]
+    return []
 
 
 def _join_chunks(path: Path, chunks: Iterable[_Chunk]) -> LogTable:
@@ -344,8 +430,20 @@ def _join_chunks(path: Path, chunks: Iterable[_Chunk]) -> LogTable:
         for k, cells in enumerate(chunk.cells):
             columns[k].add(cells, len(numbers), chunk.decimal)
         numbers.extend(chunk.numbers)
-    arrays = {k: column.concatenate() for k, column in columns.items()}
-    return LogTable(path, tuple(names), len(numbers), arrays.__getitem__, line_numbers=numbers)
+    arrays = [columns[k].concatenate() for k in range(len(names))]
+    # Spreadsheets write cells of columns that were deleted.
+    kept_columns = [k for k, name in enumerate(names) if name or not _is_empty(arrays[k])]
+    return LogTable(
+        path,
+        tuple(names[k] for k in kept_columns),
+        len(numbers),
+        [arrays[k] for k in kept_columns].__getitem__,
+        line_numbers=numbers,
+    )
+
+
+def _is_empty(column: Array | TextCell) -> bool:
+    return isinstance(column, np.ndarray) and bool(np.isnan(column).all())
 
 
 def _parse_columns(rows: Mapping[int, str], dialect: _Dialect, column_count: int) -> Iterable[Any]:
