@@ -216,16 +216,28 @@ def direct_output(*, quiet: bool, verbose: bool, json_file: Path | None) -> Iter
 
 
 class _LogHandler(logging.StreamHandler[TextIO]):
-    """Handler on the current standard error, which a progress bar redirects above itself."""
+    """Handler on the current standard error, which a progress bar redirects above itself.
+
+    Files are read and bodies identified several times; a warning about them is printed once.
+    """
+
+    def __init__(self, *, repeats: bool) -> None:
+        super().__init__()
+        self._repeats = repeats
+        self._printed_messages: set[str] = set()
 
     def emit(self, record: logging.LogRecord) -> None:
+        message = record.getMessage()
+        if message in self._printed_messages and not self._repeats:
+            return
+        self._printed_messages.add(message)
         self.setStream(sys.stderr)
         super().emit(record)
 
 
 @contextmanager
 def _configure_logging(*, quiet: bool, verbose: bool) -> Iterator[None]:
-    handler = _LogHandler()
+    handler = _LogHandler(repeats=verbose)
     previous_levels = {name: logging.getLogger(name).level for name in _PACKAGES}
     if verbose:
         handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
