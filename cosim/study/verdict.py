@@ -195,7 +195,7 @@ def judge_run(
 def state_rule(choice: LawChoice) -> str:
     """Return why a choice was made, as the end of a sentence."""
     if all(joint_choice.reason == "short" for joint_choice in choice.joints):
-        return "the logs are too short to judge laws."
+        return "the logs do not tell laws apart."
     if choice.is_short:
         return f"logs of {_format_seconds(choice)} of one joint are too short to rank laws."
     if choice.guaranteed:
@@ -241,7 +241,7 @@ def _describe_class(choice: LawChoice, members: Sequence[JointChoice]) -> str:
     if first.reason == "short":
         is_alone = all(joint_choice.reason == "short" for joint_choice in choice.joints)
         role = "" if is_alone else ", the law of all joints,"
-        return f"too little motion to judge laws; {law_title}{role} is used."
+        return f"the motion does not tell laws apart; {law_title}{role} is used."
     if first.reason == "unexplained":
         prediction = f"{title(first.replaced)} does not predict better"
         if first.replaced in (CONSTANT, NONE):

@@ -21,6 +21,7 @@ from hesr_model.inference.choice import PLAIN
 from hesr_model.inference.folds import Fold, thin
 from hesr_model.inference.left_out import LeftOutErrors
 from hesr_model.logs.signals import Motion, reversals
+from hesr_model.logs.strokes import find_single_speeds
 from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import (
@@ -43,7 +44,7 @@ class _FoldData:
     """What a fold trains laws on, and what it judges them on."""
 
     training: list[JointRecords]  # by joint, at friction coordinates
-    reverses: list[bool]  # by joint, whether its training reverses: otherwise it is not judged
+    can_judge: list[bool]  # by joint, whether its training reverses, at more than one speed
     judged_logs: list[int]
     judged_records: list[list[FrictionRecord]]  # by judged log and joint, whole logs
     judged_rows: list[Mask]  # by judged log
@@ -112,19 +113,26 @@ def _collect_fold(
     judged_logs = [k for k, rows in enumerate(fold.judged) if rows.any()]
     training = [list(joint_records) for joint_records in zip(*records, strict=True)]
     training = transform_all_records(training) if training else []
-    reverses = [_reverses(joint_records) for joint_records in training]
+    can_judge = [_can_judge(joint_records) for joint_records in training]
     return _FoldData(
         training=training,
-        reverses=reverses or [False] * robot.n,
+        can_judge=can_judge or [False] * robot.n,
         judged_logs=judged_logs,
         judged_records=[motion_records(motions[k], robot, body) for k in judged_logs],
         judged_rows=[fold.judged[k] for k in judged_logs],
     )
 
 
-def _reverses(joint_records: JointRecords) -> bool:
+def _can_judge(joint_records: JointRecords) -> bool:
+    """Return whether motion can tell laws apart: one way, or at one speed, it cannot.
+
+    At one speed laws differ in rows of reversals alone, and then anywhere else at will.
+    """
     resting_speed = find_resting_speed(joint_records)
-    return any(len(reversals(record.dq, resting_speed)) > 0 for record in joint_records)
+    if not any(len(reversals(record.dq, resting_speed)) > 0 for record in joint_records):
+        return False
+    times = [record.t for record in joint_records]
+    return not find_single_speeds(times, [record.dq for record in joint_records], resting_speed)
 
 
 def _judge_law(
@@ -142,18 +150,18 @@ def _judge_law(
     if not data.training:
         return FitError(f"law '{law_name}': a fold leaves nothing to train on.")
     laws = []
-    for joint_records, reverses in zip(data.training, data.reverses, strict=True):
+    for joint_records, can_judge in zip(data.training, data.can_judge, strict=True):
         records = joint_records
         if per_log:
             records = remove_nuisances(records, estimate_nuisances(records, per_log))
-        # Laws need a reversal. A joint without one is not judged, but must not hide the others.
+        # A joint that tells no laws apart is not judged, but must not hide the others.
         law = load_or_fit(
-            estimator_name if reverses else PLAIN,
+            estimator_name if can_judge else PLAIN,
             records,
             checkpoints=checkpoints,
             progress=progress,
             seed=seed,
-            options=options if reverses else None,
+            options=options if can_judge else None,
         )
         if isinstance(law, FitError):
             return law
@@ -231,7 +239,7 @@ def _assemble(
         tau=_collect_signal("tau", fold_data, motions, robot.n),
         dq=_collect_signal("dq", fold_data, motions, robot.n),
         tau_load=_collect_signal("tau_load", fold_data, motions, robot.n),
-        counts=np.array([data.reverses for data in fold_data]),
+        counts=np.array([data.can_judge for data in fold_data]),
         failed=failed,
     )
 

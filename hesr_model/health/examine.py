@@ -26,7 +26,6 @@ from hesr_model.health.timing import check_clocks
 from hesr_model.health.torque import NO_SIGNAL_R2, TorqueFits, check_torque, fit_joint_torques
 from hesr_model.health.velocity import check_velocity
 from hesr_model.laws.lugre import STATIC_RATIO_BOUNDS
-from hesr_model.logs.rest import moves_both_ways
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion, moving, reversals
 from hesr_model.rigid_body.friction_record import FrictionRecord
@@ -173,16 +172,10 @@ def _doubt_direction(
     """Doubt that joints which never reverse show friction, by measured rows only."""
     for j, joint in enumerate(description.joints):
         moving_parts = [part for part in parts if part.is_moving[j]]
-        if not moving_parts or any(moves_both_ways(part.log.q[:, j]) for part in moving_parts):
-            continue
-        yield Hypothesis(
-            check="one-way",
-            joint=joint,
-            observation="its torque is friction",
-            remedy="",
-            contradictions=("it never reverses: offset and Coulomb friction cannot be separated",),
-            record="motion both ways",
-            logs=tuple(dict.fromkeys(part.log.name for part in moving_parts)),
+        yield from omissions.doubt_direction(
+            joint,
+            [part.log.q[:, j] for part in moving_parts],
+            [part.log.name for part in moving_parts],
         )
 
 
@@ -540,19 +533,26 @@ def check_laws(
     What the records cannot show of friction is advice.
     """
     friction_records = transform_all_records(records)
-    judgement = judge(_doubt_speeds(friction_records))
+    judgement = judge(_doubt_motion(friction_records))
     return [*state(_doubt_laws(models, friction_records)), *judgement.undecided]
 
 
-def _doubt_speeds(records: Sequence[Sequence[FrictionRecord]]) -> Iterator[Hypothesis]:
+def _doubt_motion(records: Sequence[Sequence[FrictionRecord]]) -> Iterator[Hypothesis]:
+    """Doubt what one speed, or one direction, shows of friction."""
     for joint_records in records:
+        joint = joint_records[0].joint
+        resting_speed = find_resting_speed(joint_records)
         yield from omissions.doubt_one_speed(
-            joint_records[0].joint,
+            joint,
             unit_of_joint("rad/s", is_prismatic=joint_records[0].sliding),
             [record.t for record in joint_records],
             [record.dq for record in joint_records],
-            find_resting_speed(joint_records),
+            resting_speed,
         )
+        moving_records = [
+            record for record in joint_records if moving(record.dq, resting_speed).any()
+        ]
+        yield from omissions.doubt_direction(joint, [record.q for record in moving_records])
 
 
 def _doubt_laws(

@@ -6,7 +6,8 @@ import numpy as np
 
 from hesr_model.health.evidence import ModelTorques, SmoothPart
 from hesr_model.health.referee import Hypothesis, LeftOutRows, Race
-from hesr_model.logs.signals import moving, reversals
+from hesr_model.logs.rest import moves_both_ways
+from hesr_model.logs.strokes import find_single_speeds
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.arrays import Array
 
@@ -15,10 +16,6 @@ _KNEE_SHARES = (0.003, 0.01, 0.03, 0.1)  # speeds, over the peak, up to which fr
 _ROUNDS = 8  # after which the signs of a torque do not change any more
 _SIGN_QUANTILES = (0.01, 0.99)
 _MIN_GRAVITY_SHARE = 0.01  # of the torque, above which the zero of a position matters
-_STROKE_COUNT = 10  # parts of a stroke, in each of which noise of the velocity averages out
-_MIN_PART_COUNT = 5  # in one direction, which tell its speeds
-_SPEED_QUANTILES = (0.15, 0.85)  # of parts in motion; those of starts and stops differ
-_MAX_SPEED_RATIO = 1.15  # between these quantiles, within which there is one speed
 
 
 def check_signs(
@@ -147,22 +144,9 @@ def doubt_one_speed(
     times, velocities : of its logs, (N,) each.
     resting_speed : up to which it rests.
     """
-    speeds_by_direction: dict[float, list[float]] = {1.0: [], -1.0: []}
-    for t, v in zip(times, velocities, strict=True):
-        for speed in _average_strokes(t, v, resting_speed):
-            speeds_by_direction[float(np.sign(speed))].append(abs(speed))
-    usual_speeds = []
-    for speeds in speeds_by_direction.values():
-        if len(speeds) < _MIN_PART_COUNT:
-            continue
-        lower, upper = np.quantile(speeds, _SPEED_QUANTILES)
-        if upper > _MAX_SPEED_RATIO * lower:
-            return
-        usual_speeds.append(float(np.median(speeds)))
+    usual_speeds = find_single_speeds(times, velocities, resting_speed)
     if not usual_speeds:
         return
-    if max(usual_speeds) < _MAX_SPEED_RATIO * min(usual_speeds):
-        usual_speeds = [float(np.mean(usual_speeds))]
     speed_text = " and ".join(f"{speed:.2g} {unit}" for speed in usual_speeds)
     yield Hypothesis(
         check="one-speed",
@@ -174,10 +158,25 @@ def doubt_one_speed(
     )
 
 
-def _average_strokes(t: Array, v: Array, resting_speed: float) -> Iterator[float]:
-    """Yield mean velocities of the moving rows in parts of strokes, between reversals."""
-    for rows in np.split(np.arange(len(t)), reversals(v, resting_speed)):
-        for part_rows in np.array_split(rows, _STROKE_COUNT):
-            moving_rows = part_rows[moving(v[part_rows], resting_speed)]
-            if len(moving_rows) and 2 * len(moving_rows) > len(part_rows):
-                yield float(np.mean(v[moving_rows]))
+def doubt_direction(
+    joint: str, positions: Sequence[Array], logs: Sequence[str] = ()
+) -> Iterator[Hypothesis]:
+    """Say that motion one way does not separate Coulomb friction from an offset.
+
+    Parameters
+    ----------
+    joint : its name.
+    positions : measured positions (N,) [rad, m] of the logs or parts in which it moves.
+    logs : their names.
+    """
+    if not positions or any(moves_both_ways(q) for q in positions):
+        return
+    yield Hypothesis(
+        check="one-way",
+        joint=joint,
+        observation="its torque is friction",
+        remedy="",
+        contradictions=("it never reverses: offset and Coulomb friction cannot be separated",),
+        record="motion both ways",
+        logs=tuple(dict.fromkeys(logs)),
+    )

@@ -36,7 +36,8 @@ class LeftOutErrors:
     joint_errors : the same at joints; equal to `errors` for uncoupled joints.
     tau : by log, measured friction (N, n) [N.m] that `errors` refer to.
     dq, tau_load : by log, velocity [rad/s] and load [N.m] of these rows, (N, n).
-    counts : (folds, n) whether a fold judges a joint: its training part reverses the joint.
+    counts : (folds, n) whether a fold judges a joint: its training part reverses the joint, at
+        more than one speed.
     failed : reasons of laws that cannot be fitted in a fold, by law.
     """
 

@@ -75,7 +75,7 @@ def test_joints_of_one_class_share_a_sentence_with_the_range_of_their_ratios() -
         ),
         (
             make_joint(reason="short", known="nothing", ratio=None, low=None, high=None),
-            ("too little motion", "ParFam-S, the law of all joints, is used."),
+            ("does not tell laws apart", "ParFam-S, the law of all joints, is used."),
         ),
         (
             make_joint(PLAIN, reason="better", known="level", ratio=1.0, low=1.0, high=1.0),
@@ -112,9 +112,9 @@ def test_one_joint_has_no_law_of_all_joints() -> None:
 def test_logs_without_motion_are_not_said_to_be_judged() -> None:
     nothing = make_joint(PLAIN, reason="short", known="nothing", ratio=None, low=None, high=None)
     assert describe(nothing, nothing, base=PLAIN) == [
-        Containing("J1, J2: too little motion", "; Coulomb + viscous is used.")
+        Containing("J1, J2: the motion does not tell", "; Coulomb + viscous is used.")
     ]
-    assert "too short to judge" in state_rule(make_choice(nothing, base=PLAIN))
+    assert "do not tell laws apart" in state_rule(make_choice(nothing, base=PLAIN))
 
 
 @pytest.mark.parametrize(
