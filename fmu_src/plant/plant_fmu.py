@@ -243,9 +243,7 @@ class ServoGains:
         if kv is None:
             for name, gains in (("ki", ki), ("kp", kp)):
                 if gains is not None:
-                    raise ArgumentError(
-                        f"'{name}' needs 'kv', the proportional gain of the servo."
-                    )
+                    raise ArgumentError(f"'{name}' needs 'kv', the proportional gain of the servo.")
             return None
         integral = (0.0,) * len(kv) if ki is None else ki
         position = () if kp is None else kp
