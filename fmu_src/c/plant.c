@@ -11,7 +11,8 @@
  * (implicit Euler) where it is stiff or holds. If motors turn several joints, all of this is in the
  * coordinates of the friction (coupling.h), except for the stops. With a SERVO, G includes minus
  * its torque kv (dq_cmd - u) + ki (integral of dq_cmd - q - h u), where a controller of the
- * POSITION adds kp (q_cmd - q - h u) to dq_cmd. */
+ * POSITION adds kp (q_cmd - q - h u) to dq_cmd. A DIRECT servo turns position errors into torques
+ * (plant_servo.h). */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -62,6 +63,7 @@ static void open_solver(const Component *component, double h, Solver *solver) {
         solver->clearance[i] = 0.5 * (v[Q_MAX + i] - v[Q_MIN + i]);
         solver->servo[i] = solver->gain[i] = solver->most[i] = 0.0;
         solver->command[i] = SERVO ? own[INTEGRAL + i] : 0.0;
+        solver->followed[i] = DIRECT ? own[FOLLOWED + i] : 0.0;
         for (int j = LOAD + 1; j < joint->inputs; j++) {
             solver->input[j][i] = v[joint->input[j]];
         }
@@ -85,6 +87,9 @@ static void store(Component *component, const Solver *solver) {
         if (SERVO) {
             const double servo = servo_at(solver, i, solver->u[i]);
             own[INTEGRAL + i] = solver->command[i];
+            if (DIRECT) {
+                own[FOLLOWED + i] = solver->followed[i];
+            }
             stop[i] += servo;
             motor[i] = solver->support[i] + servo;
         }
@@ -125,8 +130,8 @@ INLINED bool try_step_inlined(Solver *solver, double time, double h, Message *wh
     if (!advance(solver, why)) {
         return false;
     }
-    for (int i = 0; SERVO && i < JOINTS; i++) { /* at the end of the step */
-        solver->command[i] += h * commanded(solver, i, time - h);
+    for (int i = 0; SERVO && i < JOINTS; i++) {
+        integrate(solver, i, time - h);
     }
     return true;
 }
@@ -167,8 +172,9 @@ static bool component_initialise(Component *component, void *workspace, Message 
             !sound(v, most, v[most] >= v[Q_MIN + i], "not be below the lower limit", why)) {
             return false;
         }
-        const int own[] = {KV + i, KI + i, TORQUE_LIMIT + i, LATENCY, KP + i};
-        for (int n = 0; SERVO && n < 4 + POSITION; n++) {
+        const int own[] = {KV + i, KI + i,     TORQUE_LIMIT + i,
+                           LATENCY, KP + i, COMMAND_FILTER + i, SPEED_LIMIT + i};
+        for (int n = 0; SERVO && n < 4 + POSITION + 2 * DIRECT; n++) {
             if (!sound(v, own[n], v[own[n]] >= 0.0, "not be negative", why)) {
                 return false;
             }

@@ -4,10 +4,12 @@
 
 #include "plant_solver.h"
 
-/* Memory of a servo: integrals of its commands, and earlier commands: time, speeds, positions. */
+/* Memory of a servo: integrals of its commands, or of its position errors if it is DIRECT, which
+ * then has the commands that it follows as well; and earlier commands: time, speeds, positions. */
 enum {
     INTEGRAL = LAW + PREPARED * LANES,
-    COMMANDS = INTEGRAL + JOINTS,
+    FOLLOWED = INTEGRAL + JOINTS,
+    COMMANDS = FOLLOWED + (DIRECT ? JOINTS : 0),
     FIRST_COMMAND = COMMANDS + 1
 };
 enum { SPEEDS = 1, POSITIONS = SPEEDS + JOINTS, ROW = POSITIONS + (POSITION ? JOINTS : 0) };
@@ -57,6 +59,44 @@ static double commanded(const Solver *solver, int i, double time) {
     return speed + component->v[KP + i] * (q_cmd - solver->q[i]);
 }
 
+/* Mean of the position commands that act from `from` to `to` [s] after the start of the step; the
+ * first one also acts before it. The mean is continuous in the latency, as a fit needs it. */
+static double mean_command(const Component *component, int i, double from, double to) {
+    const double *own = component->own, *row = &own[FIRST_COMMAND];
+    const double latency = component->v[LATENCY], end = to - latency;
+    const int count = (int)own[COMMANDS];
+    double begin = from - latency, sum = 0.0;
+    for (int n = 0; n < count; n++, row += ROW) {
+        const double until = n + 1 < count ? row[ROW] - component->time : 0.0;
+        const double stop = fmin(until, end);
+        if (stop > begin) {
+            sum += (stop - begin) * row[POSITIONS + i];
+            begin = stop;
+        }
+    }
+    if (end > begin) {
+        sum += (end - begin) * mixed_at(component, false, Q_CMD, i, 0.0);
+    }
+    return sum / (to - from);
+}
+
+/* Set the command that a DIRECT servo follows, filtered and limited in speed: at the end of a step,
+ * and its mean over the step. */
+static void follow_command(Solver *solver, int i, double time) {
+    const double *v = solver->component->v, h = solver->h, filter = v[COMMAND_FILTER + i];
+    const double from = solver->followed[i], most = h * v[SPEED_LIMIT + i];
+    const double mean = mean_command(solver->component, i, time, time + h);
+    const double share = filter > 0.0 ? -expm1(-h / filter) : 1.0;
+    const double change = share * (mean - from);
+    if (fabs(change) > most) {
+        solver->target[i] = from + copysign(most, change);
+        solver->reference[i] = from + 0.5 * copysign(most, change);
+    } else {
+        solver->target[i] = from + change;
+        solver->reference[i] = filter > 0.0 ? mean - change * (filter / h) : mean;
+    }
+}
+
 /* Forget commands that no longer act `later` [s] after the start of the step; whether there is room
  * for another. */
 static bool forget(Component *component, double later) {
@@ -97,24 +137,63 @@ static double servo_at(const Solver *solver, int i, double speed) {
     return fabs(torque) >= solver->most[i] ? copysign(solver->most[i], torque) : torque;
 }
 
+/* Set a DIRECT servo, kp e + ki (integral of e) + kd (dq_cmd - dq), e = followed command - q. All
+ * are those of the middle of the step, so that the servo damps nothing by its discretisation. */
+static void drive_directly(Solver *solver, int i, double time) {
+    const double *v = solver->component->v, half = 0.5 * solver->h;
+    const double kp = v[KP + i], ki = v[KI + i], kd = v[KV + i];
+    follow_command(solver, i, time);
+    const double error = solver->reference[i] - solver->q[i];
+    const double speed = acting(solver->component, i, time, SPEEDS, 0.0);
+    solver->servo[i] = kp * error + ki * (solver->command[i] + half * error) + kd * speed;
+    solver->gain[i] = kd + half * (kp + half * ki);
+}
+
 /* Set an axis's servo to the command at `time`, and add what supports the axis. */
 static void drive(Solver *solver, int i, double time) {
     const double *v = solver->component->v, h = solver->h;
-    const double command = commanded(solver, i, time);
-    const double behind = solver->command[i] + h * command - solver->q[i];
-    solver->servo[i] = v[KV + i] * command + v[KI + i] * behind;
-    solver->gain[i] = (v[KV + i] + h * v[KI + i]) * (POSITION ? 1.0 + h * v[KP + i] : 1.0);
+    if (DIRECT) {
+        drive_directly(solver, i, time);
+    } else {
+        const double command = commanded(solver, i, time);
+        const double behind = solver->command[i] + h * command - solver->q[i];
+        solver->servo[i] = v[KV + i] * command + v[KI + i] * behind;
+        solver->gain[i] = (v[KV + i] + h * v[KI + i]) * (POSITION ? 1.0 + h * v[KP + i] : 1.0);
+    }
     solver->most[i] = v[TORQUE_LIMIT + i];
     solver->applied[i] += solver->support[i];
     solver->support[i] += mixed_at(solver->component, true, TAU, i, time + 0.5 * h);
+}
+
+/* Advance the integral of a servo at the end of a step. That of a DIRECT one waits while its torque
+ * is at the limit and would be pushed further. */
+static void integrate(Solver *solver, int i, double time) {
+    const double h = solver->h;
+    if (!DIRECT) {
+        solver->command[i] += h * commanded(solver, i, time);
+        return;
+    }
+    const double error = solver->reference[i] - solver->q[i] + 0.5 * h * solver->u[i];
+    const double torque = servo_at(solver, i, solver->u[i]);
+    if (!(fabs(torque) >= solver->most[i] && torque * error > 0.0)) {
+        solver->command[i] += h * error;
+    }
+    solver->followed[i] = solver->target[i];
 }
 
 /* Set the integral of a servo so that its torque is `missing` less at speed 0; return the torque of
  * servo and support at the start. */
 static double hold_start(Solver *solver, int i, double missing) {
     const double *v = solver->component->v, ki = v[KI + i], q = solver->q[i];
-    solver->command[i] = ki > 0.0 ? q - missing / ki : q;
-    solver->servo[i] = ki * (solver->command[i] - q);
+    if (DIRECT) {
+        solver->followed[i] = mixed_at(solver->component, false, Q_CMD, i, 0.0);
+        const double direct = v[KP + i] * (solver->followed[i] - q);
+        solver->command[i] = ki > 0.0 ? -(missing + direct) / ki : 0.0;
+        solver->servo[i] = direct + ki * solver->command[i];
+    } else {
+        solver->command[i] = ki > 0.0 ? q - missing / ki : q;
+        solver->servo[i] = ki * (solver->command[i] - q);
+    }
     solver->gain[i] = v[KV + i];
     solver->most[i] = v[TORQUE_LIMIT + i];
     const double support = solver->support[i], servo = servo_at(solver, i, solver->v[i]);

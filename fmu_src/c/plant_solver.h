@@ -54,7 +54,9 @@ typedef struct {
     Lanes rise[MAX_STATES];  /* of the states over the speed */
     Lanes weight;            /* 1/2: midpoint; 1: implicit Euler */
     Lanes inertial;          /* mass matrix times acceleration */
-    Lanes command;           /* integral of the servo's command */
+    Lanes command;           /* integral of the servo's command, or of its error if it is DIRECT */
+    Lanes followed, target;  /* commands that a DIRECT servo follows, before and after the step */
+    Lanes reference;         /* their mean over the step */
     Lanes support;           /* torque of the motor without the servo's */
     Lanes servo, gain, most; /* torque of a servo at speed 0, minus its slope, and its limit */
     const Component *component;

@@ -34,6 +34,7 @@ from fmu_src.friction.friction_fmu import describe_fmu, describe_origin
 from fmu_src.friction.validity import require_exportable
 from fmu_src.pages.friction_page import drive_html, model_title
 from fmu_src.plant.dynamics import change_header, dynamics_header, tool_header
+from fmu_src.plant.servo import PositionServo, Servo, ServoGains, find_places
 from fmu_src.run.reference_results import Stimuli, waves
 from hesr_model.errors import ArgumentError, ExportError
 from hesr_model.friction.inputs import TAU_LOAD, TORQUE
@@ -49,7 +50,6 @@ SUBSTEP = 1e-3  # default of the longest inner step [s]
 STIFFNESS = 1e4
 DAMPING = 1e2  # defaults of the stops [N.m/rad, N.m.s/rad]
 _UNLIMITED = 1e6  # limit of a joint without stops [rad or m]
-COMMANDS = 64  # greatest number of commands within the latency of a servo, as in plant_servo.h
 _POSTURES = 100  # random postures in the check of the mass matrix
 _NO_TORQUE = 1e-12  # torque of a joint that carries none, in place of zero [N.m]
 _log = logging.getLogger(__name__)
@@ -161,20 +161,17 @@ _START = ("q_start", "dq_start")
 _INTEGRAL_OF = {"dq": "q", "ddq": "dq"}
 
 
-def _inputs(servo: "ServoGains | None") -> dict[str, tuple[str, str]]:
-    tau = {"tau": ("N.m", "torque of the motor" + (" in addition to the servo's" if servo else ""))}
+def _inputs(servo: Servo | None) -> dict[str, tuple[str, str]]:
     if servo is None:
-        return tau
-    position_command = {"q_cmd": ("rad", "position command of the servo")} if servo.kp else {}
-    return tau | {"dq_cmd": ("rad/s", "speed command of the servo")} | position_command
+        return {"tau": ("N.m", "torque of the motor")}
+    return {"tau": ("N.m", "torque of the motor in addition to the servo's"), **servo.inputs()}
 
 
-def _memory(laws: Sequence[Joint], links: int, servo: "ServoGains | None") -> int:
+def _memory(laws: Sequence[Joint], links: int, servo: Servo | None) -> int:
     """Return the number of doubles in the own memory of plant.c."""
     joints, (rows, lanes) = len(laws), prepared_size(laws)
     plant = 1 + 3 * joints + 10 * links + rows * lanes
-    kinds = 0 if servo is None else 2 if servo.kp else 1
-    return plant + (joints + 1 + COMMANDS * (1 + kinds * joints) if kinds else 0)
+    return plant if servo is None else plant + servo.count_memory(joints)
 
 
 def _parameters(plant_body: PlantBody) -> Iterator[Variable]:
@@ -224,62 +221,8 @@ def inertial_parameters(plant_body: PlantBody) -> Iterator[Variable]:
         yield Variable(f"payload.{name}", "tunable", text, unit="kg.m2")
 
 
-@dataclass(frozen=True, kw_only=True)
-class ServoGains:
-    """Gains (n,) of a servo: of speed [N.m.s/rad], its integral [N.m/rad], and position [1/s]."""
-
-    kv: tuple[float, ...]
-    ki: tuple[float, ...]
-    kp: tuple[float, ...] = ()
-
-    @classmethod
-    def from_gains(
-        cls,
-        kv: Sequence[float] | None,
-        ki: Sequence[float] | None,
-        kp: Sequence[float] | None,
-    ) -> "ServoGains | None":
-        """Return the gains of a servo, or None without `kv`, which the others need."""
-        if kv is None:
-            for name, gains in (("ki", ki), ("kp", kp)):
-                if gains is not None:
-                    raise ArgumentError(f"'{name}' needs 'kv', the proportional gain of the servo.")
-            return None
-        integral = (0.0,) * len(kv) if ki is None else ki
-        position = () if kp is None else kp
-        return cls(kv=tuple(kv), ki=tuple(integral), kp=tuple(position))
-
-    def __post_init__(self) -> None:
-        for name, gains in (("kv", self.kv), ("ki", self.ki), ("kp", self.kp)):
-            for number, gain in enumerate(gains, start=1):
-                if not (np.isfinite(gain) and gain >= 0.0):
-                    raise ExportError(
-                        f"plant: '{name}' of joint {number} is {gain:g}; it must not be negative."
-                    )
-
-    def parameters(self) -> Iterator[Variable]:
-        """Yield the parameters."""
-        ones = np.ones(len(self.kv))
-        text = "gain of the servo"
-        yield from vector("servo_kv", "tunable", "N.m.s/rad", f"proportional {text}", self.kv)
-        yield from vector("servo_ki", "tunable", "N.m/rad", f"integral {text}", self.ki)
-        yield from vector("servo_kp", "tunable", "1/s", "gain of the position", self.kp)
-        text = "limit of the servo's torque"
-        yield from vector("torque_limit", "tunable", "N.m", text, _UNLIMITED * ones)
-        text = "share of gravity and springs that the servo compensates"
-        yield from vector("gravity_share", "tunable", "1", text, ones)
-        text = f"delay of the commands, at most {COMMANDS} steps"
-        yield Variable("latency", "fixed", text, unit="s")
-
-
-_PLACES_OF_SERVO = {"KV": "servo_kv[1]", "KI": "servo_ki[1]", "LATENCY": "latency"}
-_SERVO_VECTORS = ("dq_cmd", "tau_motor", "torque_limit", "gravity_share")
-_PLACES_OF_SERVO |= {name.upper(): f"{name}[1]" for name in _SERVO_VECTORS}
-_PLACES_OF_POSITION = {"Q_CMD": "q_cmd[1]", "KP": "servo_kp[1]"}
-
-
 def _interface(
-    model: FrictionModel, plant_body: PlantBody, servo: ServoGains | None, *, tool: bool
+    model: FrictionModel, plant_body: PlantBody, servo: Servo | None, *, tool: bool
 ) -> Interface:
     laws = build_joints(model, names={TORQUE: "tau_friction"})
     numbers = range(1, len(laws) + 1)
@@ -354,7 +297,8 @@ def _interface(
 
 _WORDS = {"torque": "force", "inertia": "mass"}
 _JOINT_VARIABLE = re.compile(
-    r"(tau|q|dq|ddq|tau_\w+|q_\w+|dq_\w+|stop_\w+|servo_\w+|torque_limit|rotor)\[(\d+)\]"
+    r"(tau|q|dq|ddq|tau_\w+|q_\w+|dq_\w+|stop_\w+|servo_\w+|torque_limit|speed_limit|rotor)"
+    r"\[(\d+)\]"
 )
 
 
@@ -383,6 +327,7 @@ def export_plant(
     kv: Sequence[float] | None = None,
     ki: Sequence[float] | None = None,
     kp: Sequence[float] | None = None,
+    servo: PositionServo | None = None,
     tool: bool = False,
     platforms: Sequence[str] = HOST,
     progress: Progress = silent,
@@ -392,16 +337,24 @@ def export_plant(
     """Write a robot under a friction model as an FMU for co-simulation and model exchange.
 
     With `kv` (n,) it includes a servo with a speed command, with `kp` (n,) also a position command,
+<<<<<<< HEAD
     and is for co-simulation only. With `tool` it has the pose of the last joint's frame. Raises
     ArgumentError if a gain needs another one that is missing, and
     ExportError if the friction model belongs to another robot, or a gain is negative.
+=======
+    or a `servo` that turns position errors into torque; it is then for co-simulation only. With
+    `tool` it has the pose of the last joint's frame. Raises ExportError if the friction model
+    belongs to another robot, or a gain is negative.
+>>>>>>> a8bfe518 (Turn position errors into torque in plants, with delay and limits)
     """
     check_request(path, platforms)
     require_exportable(model, "a plant")
     require_fitting(model, plant_body.robot)
-    servo = ServoGains.from_gains(kv, ki, kp)
+    cascade = ServoGains.from_gains(kv, ki, kp)
+    if cascade is not None and servo is not None:
+        raise ExportError("plant: 'servo' and 'kv' are two servos; give one of them.")
     return write_fmu(
-        content(model, plant_body, servo=servo, tool=tool, bare=bare),
+        content(model, plant_body, servo=servo or cascade, tool=tool, bare=bare),
         path,
         platforms=platforms,
         progress=progress,
@@ -435,7 +388,7 @@ def content(
     model: FrictionModel,
     plant_body: PlantBody,
     *,
-    servo: ServoGains | None = None,
+    servo: Servo | None = None,
     tool: bool = False,
     bare: bool = False,
 ) -> Content:
@@ -460,16 +413,13 @@ def content(
     plant_sources = ("plant.c", "plant_flow.h", "plant_servo.h", "plant_solver.h")
     shared_sources = ("balance.h", "coupling.h", "law_math.h", "regroup.h", "root.h", "wide.h")
     sources = {name: read_c_source(name) for name in (*plant_sources, *shared_sources)}
-    position = servo is not None and bool(servo.kp)
-    servo_places = dict.fromkeys(_PLACES_OF_SERVO | _PLACES_OF_POSITION, "tau[1]")
-    servo_places |= (_PLACES_OF_SERVO if servo else {}) | (_PLACES_OF_POSITION if position else {})
-    kinds = {"SERVO": int(servo is not None), "POSITION": int(position)}
+    servo_places, servo_kinds = find_places(servo)
     sources |= {
         "dynamics.h": dynamics_header(plant_body.robot, width="LANES"),
         "equations.h": header,
     }
     sources |= {"change.h": change_header(plant_body.robot)}
-    sources |= {"servo.h": places(interface, "SERVO_H", servo_places, **kinds)}
+    sources |= {"servo.h": places(interface, "SERVO_H", servo_places, **servo_kinds)}
     sources |= {"tool.h": tool_header(plant_body.robot, interface.places.get("tool_position[1]"))}
     members = {}
     if not bare:

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from fmu_src.check.run import check
 from fmu_src.export.package import write_fmu
-from fmu_src.plant.plant_fmu import COMMANDS, SUBSTEP, PlantBody, ServoGains, export_plant
+from fmu_src.plant.plant_fmu import SUBSTEP, PlantBody, export_plant
+from fmu_src.plant.servo import COMMANDS, ServoGains
 from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import ArgumentError, ExportError, SimulationError
 from hesr_model.friction.model import FrictionModel
