@@ -194,6 +194,11 @@ class CheckedLogs:
     files: list[Path]
     long_logs: list[LongLog] = field(default_factory=list)  # `logs` are then some of their rows
 
+    @property
+    def lacks_torque(self) -> bool:
+        """Whether friction must be found from commands and positions."""
+        return not all(log.has_torque for log in self.logs)
+
     def find_body(self, body: BodyArg | None) -> RigidBody:
         """Return the given rigid body, by default one identified from the logs."""
         if body is None and self.long_logs:
@@ -303,10 +308,12 @@ def read_checked_logs(
     progress: Stages = silent,
     *,
     in_pieces: bool = False,
+    from_commands: bool = False,
 ) -> CheckedLogs:
     """Read logs and check them on their robot; raise HealthError for errors not in `accept`.
 
-    Only some rows of long logs are read and checked if the others can be read `in_pieces`.
+    Only some rows of long logs are read and checked if the others can be read `in_pieces`. Logs
+    without torque are refused, unless the caller takes the way `from_commands` for them.
     """
     from hesr_model.findings import log_findings
     from hesr_model.robots.robot import to_robot
@@ -317,6 +324,7 @@ def read_checked_logs(
     stated_robot = None if robot is None else to_robot(robot)
     logs = read_logs(piece_logs or sources, stated_robot, partial(progress, "reading logs"))
     checked_robot = stated_robot or find_robot(None, logs)
+    require_one_way(logs, from_commands=from_commands)
     findings = require_healthy(logs, checked_robot, accept)
     for long_log in long_logs:
         if long_log.gaps:
@@ -331,6 +339,30 @@ def read_checked_logs(
     return CheckedLogs(
         logs=logs, robot=checked_robot, findings=findings, files=list(files), long_logs=long_logs
     )
+
+
+def require_one_way(logs: Sequence[Log], *, from_commands: bool) -> None:
+    """Raise LogError for logs without torque where it is needed, and for logs of both kinds."""
+    from hesr_model.errors import LogError
+
+    without_torque = [log for log in logs if not log.has_torque]
+    if not without_torque:
+        return
+    if not from_commands:
+        raise LogError(
+            f"{without_torque[0].where}: has no torque, which this command needs; without it, "
+            "'hesr fit' finds friction from commands and positions.",
+            code="log.no_torque",
+            where=without_torque[0].where,
+            key="tau",
+        )
+    if len(without_torque) < len(logs):
+        raise LogError(
+            f"{without_torque[0].where}: has no torque, other logs have; use logs of one kind.",
+            code="log.no_torque",
+            where=without_torque[0].where,
+            key="tau",
+        )
 
 
 def require_healthy(logs: Sequence[Log], robot: Robot, accept: Sequence[str]) -> list[Finding]:

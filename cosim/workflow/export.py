@@ -141,9 +141,11 @@ def _export_law(export_format: ExportFormat, request: ExportRequest) -> None:
     if key is not None and copy_from_cache(model_file(str(request.source)), key, request.output):
         return
     from cosim.workflow.arguments import read_model
+    from fmu_src.friction.validity import require_scale
 
     exporter = export_format.exporter
     model = read_model(request.source)
+    require_scale(model)
     keywords = _prepare(exporter, replace(request, source=model))
     if key is None:
         key = _key_of_keywords(export_format, request, keywords)

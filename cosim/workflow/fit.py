@@ -158,7 +158,14 @@ def fit(
             raise ArgumentError(f"'add' is '{name}'; there are {', '.join(refinements)}.")
     known_law = to_law_name(law) if isinstance(law, type) else law
     fitted_model = _read_fitted_law(known_law, additions, options, priors)
-    checked = read_checked_logs(sources, robot, accepted, progress, in_pieces=True)
+    checked = read_checked_logs(
+        sources, robot, accepted, progress, in_pieces=True, from_commands=True
+    )
+    if checked.lacks_torque:
+        model = _fit_from_commands(checked, known_law, rigid_body, options, additions, progress)
+        if output is not None:
+            model.write(to_path(output, "'output'"))
+        return model
     body = checked.find_body(rigid_body)
     records = checked.compute_records(body, seed)
     joint_records = transpose_records(records)
@@ -205,6 +212,32 @@ def fit(
     if fitted_model is None:
         _log_new_findings(model, checked)
     return model
+
+
+def _fit_from_commands(
+    checked: CheckedLogs,
+    law: LawArg | None,
+    rigid_body: BodyArg | None,
+    options: Mapping[str, Any] | None,
+    additions: Sequence[str],
+    progress: Stages,
+) -> FrictionModel:
+    """Fit a law and the servos to logs without torque; refuse what needs torques."""
+    from cosim.servo.model import fit_from_commands
+    from hesr_model.friction.model import FrictionModel
+
+    if isinstance(law, FrictionModel) or law is None or options or additions:
+        raise ArgumentError(
+            "the logs have no torque; give the name of a 'law' alone, without 'options', 'add' or "
+            "'prior'."
+        )
+    return fit_from_commands(
+        checked.logs,
+        checked.robot,
+        str(law),
+        provenance=_provenance(checked, rigid_body, 0, {}),
+        progress=partial(progress, f"fitting {law} and servos to commands"),
+    )
 
 
 def _add_health(model: FrictionModel, findings: Iterable[Finding]) -> FrictionModel:
@@ -287,7 +320,7 @@ def answer(model: FrictionModel, output: PathArg | None) -> Answer:
     if model.trained:
         certificates = datasheet.certificates(model, model.trained)
         lines.append(f"Passivity: {passivity(model.joints, certificates)}.")
-    for name in (CHOOSE, "adaptation", *plugins.names("hesr.refinements")):
+    for name in (CHOOSE, "adaptation", "from_commands", *plugins.names("hesr.refinements")):
         lines += model.provenance.get(name, ())
     return Written(
         format="hesr-friction-model-1",

@@ -28,6 +28,20 @@ def require_numbers(model: FrictionModel) -> None:
             )
 
 
+def require_scale(model: FrictionModel) -> None:
+    """Reject a model whose torques are known up to a factor only."""
+    joints = [
+        joint
+        for joint, servo in zip(model.joints, model.servos, strict=False)
+        if servo.scale == "none"
+    ]
+    if joints:
+        raise ExportError(
+            f"law '{model.law}': nothing fixes the size of the torques of {', '.join(joints)}; "
+            "state servo.kp or servo.torque_limit in the robot file and fit again."
+        )
+
+
 def require_exportable(
     model: FrictionModel, form: str, *, coupled: bool = True, thermal: bool = False
 ) -> None:
@@ -45,6 +59,7 @@ def require_exportable(
             f"law '{model.law}' depends on temperature, which {form} does not support; use "
             "the format fmu, or a model without temperature."
         )
+    require_scale(model)
     require_numbers(model)
 
 

@@ -17,13 +17,17 @@ from fmu_src.exporter import (
 
 
 def prepare(request: ExportRequest) -> Mapping[str, Any]:
-    """Combine robot and rigid body."""
+    """Combine robot and rigid body; a model fitted to commands brings its servos and armature."""
     from fmu_src.plant.plant_fmu import find_possible_body
+    from fmu_src.plant.servo_plant import find_servo_plant
 
     options = dict(request.options)
-    options["plant_body"] = find_possible_body(
-        options.pop("robot"), options.pop("rigid_body", None)
-    )
+    robot = options.pop("robot")
+    body = options.pop("rigid_body", None)
+    if request.source.servos and body is None and "kv" not in options:
+        options["plant_body"], options["servo"] = find_servo_plant(request.source, robot)
+    else:
+        options["plant_body"] = find_possible_body(robot, body)
     return options
 
 

@@ -25,6 +25,7 @@ from hesr_model.friction.log_friction import (
 from hesr_model.friction.model_file import MODEL_FORMAT, JointEntry, ModelFile
 from hesr_model.friction.predict import predict_band, predict_joints
 from hesr_model.friction.records import predict_record
+from hesr_model.friction.servo import FittedServo
 from hesr_model.friction.thermal import Thermal
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.logs.robot_log import Log
@@ -45,7 +46,8 @@ if TYPE_CHECKING:
     from hesr_model.audit.certificate import Certificate
 
 MIXED = "recommended"  # name of a model with a law of its own on each joint
-_OPTIONAL_PARTS = ("trained", "training_rmse", "left_out_rmse", "thermal")  # parts of each joint
+# Parts of each joint.
+_OPTIONAL_PARTS = ("trained", "training_rmse", "left_out_rmse", "thermal", "servos")
 _MAX_SHOWN_COEFFICIENTS = 40  # coefficients of a law up to which notebooks show its equations
 
 
@@ -66,6 +68,8 @@ class FrictionModel:
     training_rmse : error of each law on those records [N.m]; empty if unknown.
     left_out_rmse : the same on logs left out in turn [N.m]; empty if unknown.
     thermal : thermal model of each joint; empty if unknown.
+    servos : servo of each joint, fitted with the law from commands; empty for
+        laws of torques.
     provenance : JSON data on the origin of the model (files with hashes, seed,
         versions).
     rigid_body : body by which friction was separated from the logs, for
@@ -90,6 +94,7 @@ class FrictionModel:
     training_rmse: tuple[float, ...] = ()
     left_out_rmse: tuple[float, ...] = ()
     thermal: tuple[Thermal, ...] = ()
+    servos: tuple[FittedServo, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
     rigid_body: RigidBody | None = field(default=None, repr=False, compare=False)
 
@@ -118,6 +123,7 @@ class FrictionModel:
             (self.training_rmse, "training errors for"),
             (self.left_out_rmse, "errors on left-out logs for"),
             (self.thermal, "thermal models for"),
+            (self.servos, "servos for"),
         ):
             if entries and len(entries) != len(self.joints):
                 raise ArtifactError(

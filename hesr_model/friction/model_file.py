@@ -12,6 +12,7 @@ from hesr_model.fitting.estimator import estimator
 from hesr_model.friction.band import Band
 from hesr_model.friction.inputs import MOVING
 from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.servo import FittedServo
 from hesr_model.friction.thermal import Thermal
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.inference.covariance import Covariance
@@ -51,6 +52,8 @@ class JointEntry:
     training_rmse: float | None = None
     left_out_rmse: float | None = None
     thermal: Thermal | None = None
+    # Written for laws from commands only.
+    servos: FittedServo | None = None
 
     @classmethod
     def from_law(cls, law: FrictionLaw, **joint_fields: Any) -> Self:

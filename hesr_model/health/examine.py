@@ -61,7 +61,12 @@ class Examination:
 
 
 def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | None) -> Examination:
-    """Check logs one by one, against the model, and together; raises LogError."""
+    """Check logs one by one, against the model, and together; raises LogError.
+
+    Of logs without torque only time, positions and velocities are checked.
+    """
+    if not all(log.has_torque for log in logs):
+        return _examine_motion(logs, description, robot)
     hypotheses: list[Hypothesis] = []
     parts: list[SmoothPart] = []
     for log in logs:
@@ -163,6 +168,41 @@ def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | N
         torques=tuple(torques),
         fits=tuple(fits_by_part),
         undecided=tuple(merge_findings(undecided)),
+    )
+
+
+def _examine_motion(
+    logs: Sequence[Log], description: RobotDescription, robot: Robot | None
+) -> Examination:
+    """Check time, positions and velocities of logs without torque."""
+    hypotheses: list[Hypothesis] = []
+    parts: list[SmoothPart] = []
+    for log in logs:
+        time_hypotheses = add_log_name(log, positions.check_time(log, description))
+        hypotheses += time_hypotheses
+        if any(hypothesis.severity == "error" for hypothesis in time_hypotheses):
+            continue
+        for check in (positions.check_jumps, positions.check_steps):
+            hypotheses += add_log_name(log, check(log, description))
+        parts += smooth_parts(log, description.log.filter_cutoff)
+    parts = find_rests(parts)
+    broken_joints = _collect_joints(hypotheses, ("wrap", "spikes"))
+    coarse_joints = _collect_joints(hypotheses, ("coarse",))
+    slides = tuple(robot.slides) if robot else ()
+    for part in parts:
+        velocity_hypotheses = check_velocity(
+            part, description, broken_joints, coarse_joints, slides
+        )
+        hypotheses += add_log_name(part.log, velocity_hypotheses)
+        if robot and description.log.columns.q:
+            hypotheses += add_log_name(part.log, positions.check_limits(part, robot))
+            hypotheses += add_log_name(part.log, positions.check_sliding(part, robot))
+            hypotheses += add_log_name(part.log, efforts.check_speed(part, robot))
+    judgement = judge(hypotheses)
+    return Examination(
+        findings=tuple(merge_findings(judgement.findings)),
+        parts=tuple(parts),
+        undecided=tuple(merge_findings(judgement.undecided)),
     )
 
 

@@ -59,7 +59,7 @@ class Log:
     t : (N,) [s], increasing.
     q : (N, n) [rad; m for prismatic joints].
     dq : (N, n) [rad/s; m/s]; None if not logged.
-    tau : (N, n) [N.m; N].
+    tau : (N, n) [N.m; N]; (N, 0) if not logged, which needs `q_cmd`.
     load : (N, n) [N], load of the friction in cylinders; None if it is that of
         the bodies.
     temperature : (N, n) [degC]; None if not logged.
@@ -79,7 +79,7 @@ class Log:
     t: Array
     q: Array
     dq: Array | None = None
-    tau: Array
+    tau: Array = field(default_factory=lambda: np.empty((0, 0)))
     load: Array | None = None
     temperature: Array | None = None
     q_link: Array | None = None
@@ -95,8 +95,20 @@ class Log:
         if self.is_checked:
             return
         arrays = {name: getattr(self, name) for name in ("t", *SIGNALS)}
+        if np.size(self.tau) == 0:
+            arrays["tau"] = None
         for name, values in read_log_arrays(self.where, arrays).items():
             object.__setattr__(self, name, values)
+        if arrays["tau"] is None:
+            if self.q_cmd is None:
+                raise LogError(
+                    f"{self.where}: has neither 'tau' nor 'q_cmd'; give torques, or commanded "
+                    "positions.",
+                    code="log.array.no_torque",
+                    where=self.where,
+                    key="tau",
+                )
+            object.__setattr__(self, "tau", np.empty((len(self.t), 0)))
         if self.robot is not None and len(self.robot.joints) != self.q.shape[1]:
             raise LogError(
                 f"{self.where}: 'q' has {self.q.shape[1]} joints (columns), but 'robot' has "
@@ -112,7 +124,9 @@ class Log:
 
     def _repr_html_(self) -> str:
         joints = self.joints
-        columns = {"travel of q": np.ptp(self.q, axis=0), "largest |tau|": np.abs(self.tau).max(0)}
+        columns = {"travel of q": np.ptp(self.q, axis=0)}
+        if self.has_torque:
+            columns["largest |tau|"] = np.abs(self.tau).max(0)
         if self.dq is not None:
             columns["largest |dq|"] = np.abs(self.dq).max(0)
         rows = zip(joints, *(map(float, column) for column in columns.values()), strict=True)
@@ -128,6 +142,11 @@ class Log:
         if self.robot is not None:
             return self.robot.joints
         return tuple(f"joint{k}" for k in range(1, self.q.shape[1] + 1))
+
+    @property
+    def has_torque(self) -> bool:
+        """Whether torques were logged; otherwise friction follows from commands."""
+        return bool(self.tau.shape[1])
 
     @property
     def where(self) -> str:
@@ -363,6 +382,8 @@ def _to_joints(motion: Array, description: RobotDescription) -> Array:
 
 
 def _convert_torque(path: Path, samples: LogSamples, description: RobotDescription) -> Array:
+    if samples.effort.shape[1] == 0:
+        return samples.effort
     gains = description.log.torque_per_ampere
     unit = "current" if samples.is_current else "tau"
     torque: Array = samples.effort * description.log.units.factors(unit, len(description.joints))

@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 
 from hesr_model.errors import RobotError, RuleError
 from hesr_model.logs.log_format import LogFormat
+from hesr_model.robots.servo_description import ScaleDescription, ServoDescription
 from hesr_model.robots.transmission import BALANCER, LINEAR, Coupling, SpringTerm, Transmission
 from hesr_model.support.files import PathArg, to_path
 from hesr_model.support.owner import Owner
@@ -75,7 +76,8 @@ class RobotDescription(Config):
     `balancers` (constant and two harmonics of the angle) list joints with
     further torques. `gear_ratio` (turns of the motor per turn of the joint) is
     needed by laws with motor ripple; `transmission` if motors turn several
-    joints or were logged, it then sets the gear ratios. `sources` states how
+    joints or were logged, it then sets the gear ratios. `servo` and `scale` state
+    what is known of servos and masses for logs without torque. `sources` states how
     constants are known.
     """
 
@@ -93,6 +95,8 @@ class RobotDescription(Config):
     gear_ratio: tuple[Annotated[float, Field(gt=0)], ...] | None = None
     transmission: Transmission | None = None
     log: LogFormat = LogFormat()
+    servo: ServoDescription = ServoDescription()
+    scale: ScaleDescription = ScaleDescription()
     sources: Sources = Sources()
     owner: Owner = Owner()
 
@@ -215,6 +219,8 @@ class RobotDescription(Config):
             "transmission.matrix": self.transmission and self.transmission.matrix,
             "gear_ratio": self.gear_ratio,
             "log.torque_per_ampere": self.log.torque_per_ampere,
+            "servo.kp": self.servo.kp,
+            "servo.torque_limit": self.servo.torque_limit,
             "log.zero": self.log.zero,
             **{f"log.cylinder.{k}": v for k, v in self.log.cylinder or () if k != "unit"},
             "sources.torque_per_ampere": self.sources.torque_per_ampere,

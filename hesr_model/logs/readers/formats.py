@@ -111,9 +111,12 @@ def _read_effort(table: LogTable, description: RobotDescription) -> tuple[Array,
             where=table.path,
             key="log.torque_per_ampere",
         )
+    command_name = column_names(columns.q_cmd, description.joints)[0]
+    if command_name in table.names:
+        return np.empty((table.rows, 0)), False  # friction follows from commands
     raise LogError(
-        f"{table.path}: column '{torque_name}' (torque) or '{current_name}' (current) is missing; "
-        f"it has {table.listing}.",
+        f"{table.path}: column '{torque_name}' (torque) or '{current_name}' (current), or instead "
+        f"'{command_name}' (commanded position), is missing; it has {table.listing}.",
         code="log.no_torque",
         where=table.path,
         key=torque_name,

@@ -1,0 +1,1 @@
+"""Servo and friction of joints from commands and positions, without a torque."""

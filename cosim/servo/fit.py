@@ -1,0 +1,489 @@
+"""Fit of servo, armature and law of one joint to whole logs, which run free from the commands.
+
+The positions depend on ratios of torques only, so the gain is held at 1 N.m/rad and all torques
+are found in units of it. Levenberg-Marquardt's method minimises Huber's loss of the position
+errors, from several starts.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from cosim.servo.engine import FINE_SUBSTEP, SUBSTEP, JointEngine
+from cosim.servo.record import ServoRecord
+from cosim.servo.start import (
+    MAX_LATENCY,
+    ServoStart,
+    delay_commands,
+    find_start,
+    separate_friction,
+)
+from hesr_model.errors import FitError
+from hesr_model.fitting.declarative import OneForm
+from hesr_model.fitting.estimator import Estimator
+from hesr_model.fitting.separable import SearchSpace
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.servo import JointServo
+from hesr_model.laws.stribeck import TAU_0
+from hesr_model.robots.servo_description import ServoKind
+from hesr_model.support.arrays import Array, Integers, Mask
+
+_START_FACTORS = (1.0, 0.5, 2.0)  # of all torques over the gain
+_SEARCH_RUNS, _POLISH_RUNS, _FOLD_RUNS, _FINE_RUNS = 8, 30, 6, 6  # most evaluations
+_SEARCH_SECONDS = 120.0  # of the records with which starts and servos are tried
+_HUBER = 1.345  # standard deviations beyond which an error counts linearly
+_MAD_TO_DEVIATION = 1.4826  # standard deviation over the median size of normal errors
+_LEAST_SPREAD = 1e-9  # of errors [rad; m]
+_LARGEST = 1e3  # of a logarithmic unknown over its start, and its inverse
+_INSIDE = 1e-9  # distance of a start from its bounds
+_DIFFERENCE = 1e-3  # step of a derivative, relative to an unknown or its scale
+_LATENCY_DIFFERENCE = 2e-4  # [s]
+_LOST = 1e3  # error in place of a run that fails, over the range of the motion
+_LEAST_SHARE = 0.02  # smallest scale of a torque over the largest of the friction
+_TINY = 1e-7  # start of what least squares did not find, over the gain
+_ROUND_OFF = 1e-9  # of positions [rad; m]
+_BLOCK = 2.0  # length of the blocks of time whose errors count as independent [s]
+_CLEAR = 2.0  # standard errors by which one more unknown must be better
+_WORTH = 0.02  # and its share of the squares
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unknown:
+    """An unknown of a fit: of the servo, or a coefficient of the law.
+
+    Attributes
+    ----------
+    name : field of the servo, or name of the coefficient.
+    of_law : whether it is a coefficient.
+    start : value [its unit, torques over kp].
+    scale : size of its changes.
+    lower, upper : bounds.
+    is_logarithmic : whether it changes by factors.
+    difference : step of its derivative, over the scale.
+    """
+
+    name: str
+    of_law: bool
+    start: float
+    scale: float
+    lower: float
+    upper: float
+    is_logarithmic: bool
+    difference: float = _DIFFERENCE
+
+    def encode(self, value: float) -> float:
+        """Return the number of the search for a value."""
+        return float(np.log(value)) if self.is_logarithmic else value / self.scale
+
+    def decode(self, number: float) -> float:
+        """Return the value of a number of the search."""
+        return float(np.exp(number)) if self.is_logarithmic else number * self.scale
+
+    def slope(self, number: float) -> float:
+        """Return the derivative of the value at a number of the search."""
+        return float(np.exp(number)) if self.is_logarithmic else self.scale
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointFit:
+    """Servo and law of one joint, with torques over the gain.
+
+    Attributes
+    ----------
+    servo : with kp 1 N.m/rad.
+    law : coefficients over the gain.
+    unknowns : what was fitted, by name.
+    values : (P,) of the unknowns.
+    jacobian : (N, P) of the position errors over the values.
+    residual : (N,) position errors [rad; m], simulated less measured.
+    blocks : (N,) number of the block of time of each row.
+    """
+
+    servo: JointServo
+    law: FrictionLaw
+    unknowns: tuple[Unknown, ...]
+    values: Array
+    jacobian: Array
+    residual: Array
+    blocks: Integers
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the unknowns."""
+        return tuple(unknown.name for unknown in self.unknowns)
+
+    @property
+    def rmse(self) -> float:
+        """Root mean square of the position errors [rad; m]."""
+        return float(np.sqrt(np.mean(self.residual**2)))
+
+
+class JointProblem:
+    """Fit of one joint: engine, records and unknowns; a context manager.
+
+    `kind` is that of the servo: a proportional one (position), or one with derivative (pd) and
+    integral (pid) gains.
+    """
+
+    def __init__(
+        self, records: Sequence[ServoRecord], law: type[Estimator], kind: ServoKind = "position"
+    ) -> None:
+        self._estimator = law
+        self._kind = kind
+        self._start = find_start(records)
+        self.law = _start_law(records, law, self._start)
+        self._engine = JointEngine(self.law, sliding=records[0].sliding)
+        self._base = JointServo(kp=1.0, body_factor=0.0)
+        self._use(records, SUBSTEP)
+        self._largest_error = _LOST * max(float(np.ptp(record.q)) for record in records)
+
+    def __enter__(self) -> "JointProblem":
+        self._engine.__enter__()
+        return self
+
+    def __exit__(self, *ended: object) -> None:
+        self._engine.__exit__(*ended)
+
+    def run(self, servo: JointServo, values: Mapping[str, float]) -> list[Array]:
+        """Return the positions (N,) along each record."""
+        return [
+            self._engine.run(record, servo, values, substep=self._substep)
+            for record in self._records
+        ]
+
+    def fit(self) -> JointFit:
+        """Fit from several starts, and with what else a servo may do where that is needed.
+
+        Raises FitError if no start runs.
+        """
+        all_records = self._records
+        self._use(_select_seconds(all_records, _SEARCH_SECONDS), SUBSTEP)
+        searches = []
+        for factor in _START_FACTORS:
+            unknowns = tuple(self._list_unknowns(factor))
+            search = _Search(self, unknowns)
+            searches.append((search, search.minimise(_encode_starts(unknowns), _SEARCH_RUNS)))
+        costs = [search.compute_cost(numbers) for search, numbers in searches]
+        if not np.any(np.isfinite(costs)):
+            raise FitError(f"joint '{self._records[0].joint}': no start of the fit runs")
+        search, numbers = searches[int(np.nanargmin(costs))]
+        numbers = search.minimise(numbers, _POLISH_RUNS)
+        for candidate in self._list_candidates(search, numbers):
+            search, numbers = self._try_candidate(search, numbers, candidate)
+        self._use(all_records, SUBSTEP)
+        numbers = search.minimise(numbers, _POLISH_RUNS)
+        self._substep = FINE_SUBSTEP
+        return self._finish(search, search.minimise(numbers, _FINE_RUNS))
+
+    def _use(self, records: Sequence[ServoRecord], substep: float) -> None:
+        """Run some records from now on, with inner steps [s]."""
+        self._records = records
+        self._substep = substep
+        self._measured = np.concatenate([record.q for record in records])
+
+    def refit(self, fit: JointFit, latency: float) -> JointFit:
+        """Fit again from a fit, with a latency that other joints know better."""
+        unknowns = [unknown for unknown in fit.unknowns if unknown.name != "latency"]
+        values = [
+            value
+            for unknown, value in zip(fit.unknowns, fit.values, strict=True)
+            if unknown.name != "latency"
+        ]
+        self._base = replace(self._base, latency=latency)
+        search = _Search(self, unknowns)
+        numbers = search.minimise(_encode(unknowns, values), _POLISH_RUNS)
+        self._substep = FINE_SUBSTEP
+        return self._finish(search, search.minimise(numbers, _FINE_RUNS))
+
+    def predict_left_out(self, fit: JointFit, fold_of_row: Integers) -> Array:
+        """Return the position errors (N,) [rad; m] of each fold by a fit to all others.
+
+        Whole logs run from their commands; the rows of the fold do not count in the fit.
+        """
+        self._substep = SUBSTEP
+        errors = np.zeros_like(fit.residual)
+        numbers = _encode(fit.unknowns, fit.values)
+        for fold in np.unique(fold_of_row):
+            is_left_out = fold_of_row == fold
+            search = _Search(self, fit.unknowns, is_used=~is_left_out)
+            found = search.minimise(numbers, _FOLD_RUNS)
+            everywhere = _Search(self, fit.unknowns)
+            errors[is_left_out] = everywhere.compute_residual(found)[is_left_out]
+        return errors
+
+    def compute_errors(self, servo: JointServo, values: Mapping[str, float]) -> Array:
+        """Return the position errors (N,), a large one where a run fails."""
+        largest = self._largest_error
+        errors = np.concatenate(self.run(servo, values)) - self._measured
+        return np.asarray(np.clip(np.nan_to_num(errors, nan=largest), -largest, largest))
+
+    def apply(
+        self, unknowns: Sequence[Unknown], numbers: Array
+    ) -> tuple[JointServo, dict[str, float]]:
+        """Return servo and coefficients at a point of the search."""
+        values = dict(self.law.values)
+        changes = {}
+        for unknown, number in zip(unknowns, numbers, strict=True):
+            value = unknown.decode(float(number))
+            if unknown.of_law:
+                values[unknown.name] = value
+            else:
+                changes[unknown.name] = value
+        return replace(self._base, **changes), values
+
+    def _list_unknowns(self, factor: float) -> Iterator[Unknown]:
+        """Yield the unknowns with starts whose torques over the gain are multiplied."""
+        start = self._start
+        inertia = max(float(np.mean(record.inertia)) for record in self._records)
+        if _feels_gravity(self._records):
+            yield _positive("body_factor", factor * max(start.body, 0.1 * start.armature / inertia))
+        least_armature = _LEAST_SHARE * start.body * inertia
+        yield _positive("armature", factor * max(start.armature, least_armature, _TINY))
+        yield Unknown(
+            name="latency",
+            of_law=False,
+            start=max(start.latency, 1e-3),
+            scale=1.0,
+            lower=0.0,
+            upper=MAX_LATENCY,
+            is_logarithmic=False,
+            difference=_LATENCY_DIFFERENCE,
+        )
+        if self._kind != "position":
+            yield _size("kd", factor * max(start.viscous, _TINY))
+        if self._kind == "pid":
+            yield _size("ki", 1.0)
+        yield from _list_coefficients(self._estimator, self.law, factor)
+
+    def _list_candidates(self, search: "_Search", numbers: Array) -> Iterator[Unknown]:
+        """Yield what else a servo may do, if the errors are larger than the encoder's steps."""
+        errors = search.compute_residual(numbers)
+        if float(np.sqrt(np.mean(errors**2))) <= find_encoder_step(self._records):
+            return
+        servo, _ = self.apply(search.unknowns, numbers)
+        largest_torque = max(
+            float(np.max(np.abs(delay_commands(record, servo.latency) - record.q)))
+            for record in self._records
+        )
+        fastest = max(float(np.max(np.abs(record.dq))) for record in self._records)
+        yield _positive("torque_limit", 0.5 * largest_torque)
+        yield _positive("command_filter", 0.05)
+        yield _positive("speed_limit", 0.95 * fastest)
+
+    def _try_candidate(
+        self, search: "_Search", numbers: Array, candidate: Unknown
+    ) -> tuple["_Search", Array]:
+        """Return the search with one more unknown if its errors are clearly smaller."""
+        longer = _Search(self, (*search.unknowns, candidate))
+        started = np.append(numbers, candidate.encode(candidate.start))
+        found = longer.minimise(started, _POLISH_RUNS)
+        squares = search.compute_residual(numbers) ** 2
+        gains = squares - longer.compute_residual(found) ** 2
+        blocks = _number_blocks(self._records)
+        sums = np.bincount(blocks, weights=gains)
+        spread = float(np.std(sums, ddof=1)) * np.sqrt(len(sums))
+        is_clear = float(np.sum(sums)) > _CLEAR * spread
+        if is_clear and float(np.sum(gains)) > _WORTH * float(np.sum(squares)):
+            return longer, found
+        return search, numbers
+
+    def _finish(self, search: "_Search", numbers: Array) -> JointFit:
+        jacobian = search.compute_jacobian(numbers)
+        is_reached = np.any(jacobian != 0.0, axis=0)
+        if not np.all(is_reached):  # a limit beyond all that happens; nothing else has no effect
+            kept = np.flatnonzero(is_reached)
+            shorter = _Search(self, [search.unknowns[k] for k in kept])
+            return self._finish(shorter, numbers[kept])
+        unknowns = search.unknowns
+        servo, values = self.apply(unknowns, numbers)
+        pairs = list(zip(unknowns, numbers.tolist(), strict=True))
+        slopes = np.array([unknown.slope(number) for unknown, number in pairs])
+        return JointFit(
+            servo=servo,
+            law=replace(self.law, values=values),
+            unknowns=unknowns,
+            values=np.array([unknown.decode(number) for unknown, number in pairs]),
+            jacobian=jacobian / slopes,
+            residual=search.compute_residual(numbers),
+            blocks=_number_blocks(self._records),
+        )
+
+
+class _Search:
+    """Unknowns of a problem, and the rows that count."""
+
+    def __init__(
+        self, problem: JointProblem, unknowns: Sequence[Unknown], is_used: Mask | None = None
+    ) -> None:
+        self._problem = problem
+        self.unknowns = tuple(unknowns)
+        self._is_used = is_used
+
+    def compute_residual(self, numbers: Array) -> Array:
+        """Return the position errors (N,); 0 where they do not count."""
+        errors = self._problem.compute_errors(*self._problem.apply(self.unknowns, numbers))
+        return errors if self._is_used is None else np.where(self._is_used, errors, 0.0)
+
+    def compute_cost(self, numbers: Array) -> float:
+        """Return the mean size of the errors."""
+        return float(np.mean(np.abs(self.compute_residual(numbers))))
+
+    def compute_jacobian(self, numbers: Array) -> Array:
+        """Return the derivatives (N, P) of the residual over the numbers of the search."""
+        base = self.compute_residual(numbers)
+        columns = []
+        for k, unknown in enumerate(self.unknowns):
+            shifted = numbers.copy()
+            shifted[k] += unknown.difference
+            columns.append((self.compute_residual(shifted) - base) / unknown.difference)
+        return np.column_stack(columns)
+
+    def minimise(self, numbers: Array, runs: int) -> Array:
+        """Return the numbers of the least Huber loss within some evaluations."""
+        lower = np.array([unknown.encode(unknown.lower) for unknown in self.unknowns])
+        upper = np.array([unknown.encode(unknown.upper) for unknown in self.unknowns])
+        residual = self.compute_residual(numbers)
+        if self._is_used is not None:
+            residual = residual[self._is_used]
+        spread = max(_MAD_TO_DEVIATION * float(np.median(np.abs(residual))), _LEAST_SPREAD)
+        result = scipy.optimize.least_squares(
+            self.compute_residual,
+            np.clip(numbers, lower + _INSIDE, upper - _INSIDE),
+            jac=self.compute_jacobian,
+            bounds=(lower, upper),
+            loss="huber",
+            f_scale=_HUBER * spread,
+            x_scale="jac",
+            max_nfev=runs,
+            xtol=1e-5,
+            ftol=1e-6,
+        )
+        return np.asarray(result.x)
+
+
+def _select_seconds(records: Sequence[ServoRecord], seconds: float) -> Sequence[ServoRecord]:
+    """Return the records in which the joint moves most, at most some seconds, or the first."""
+    by_motion = sorted(records, key=lambda record: -float(np.std(record.dq)))
+    selected: list[ServoRecord] = []
+    duration = 0.0
+    for record in by_motion:
+        length = float(record.t[-1])
+        if not selected or duration + length <= seconds:
+            selected.append(record)
+            duration += length
+    return selected
+
+
+def _positive(name: str, start: float) -> Unknown:
+    """Return an unknown of the servo that changes by factors."""
+    return Unknown(
+        name=name,
+        of_law=False,
+        start=start,
+        scale=start,
+        lower=start / _LARGEST,
+        upper=start * _LARGEST,
+        is_logarithmic=True,
+    )
+
+
+def _size(name: str, start: float) -> Unknown:
+    """Return an unknown of the servo that may be 0."""
+    return Unknown(
+        name=name,
+        of_law=False,
+        start=start,
+        scale=start,
+        lower=0.0,
+        upper=np.inf,
+        is_logarithmic=False,
+    )
+
+
+def find_encoder_step(records: Sequence[ServoRecord]) -> float:
+    """Return the smallest step of the measured positions [rad; m]."""
+    steps = np.concatenate([np.abs(np.diff(record.q)) for record in records])
+    return float(np.min(steps[steps > _ROUND_OFF], initial=np.inf))
+
+
+def _encode_starts(unknowns: Sequence[Unknown]) -> Array:
+    return _encode(unknowns, [unknown.start for unknown in unknowns])
+
+
+def _encode(unknowns: Sequence[Unknown], values: Iterable[float]) -> Array:
+    return np.array(
+        [unknown.encode(float(value)) for unknown, value in zip(unknowns, values, strict=True)]
+    )
+
+
+def _feels_gravity(records: Sequence[ServoRecord]) -> bool:
+    """Return whether the bodies do more than a constant inertia, which the armature absorbs."""
+    bias = max(float(np.ptp(record.bias)) for record in records)
+    inertia = max(float(np.ptp(record.inertia)) for record in records)
+    return bias > 0.0 or inertia > 0.0
+
+
+def _start_law(
+    records: Sequence[ServoRecord], law: type[Estimator], start: ServoStart
+) -> FrictionLaw:
+    """Return the law fitted to what the servo's error leaves by least squares."""
+    friction = separate_friction(records, 1.0, start.body, start.armature, start.latency)
+    fitted = law().fit(friction, np.random.default_rng(0))
+    # An offset of the torque cannot be told from a bias of the encoder; both count as 0.
+    no_offset = {TAU_0.name: 0.0} if TAU_0.name in fitted.values else {}
+    return replace(fitted, values={**fitted.values, **no_offset})
+
+
+def _list_coefficients(
+    law: type[Estimator], started: FrictionLaw, factor: float
+) -> Iterator[Unknown]:
+    """Yield the coefficients of a law: torques by size, searched numbers by factors."""
+    space = _find_space(law, started)
+    bounds = dict(space.bounds)
+    non_negative = set(space.linear[: space.non_negative])
+    largest = max((abs(started.values[name]) for name in space.linear), default=0.0)
+    for name, value in started.values.items():
+        if name in bounds:
+            lower, upper = bounds[name]
+            yield Unknown(
+                name=name,
+                of_law=True,
+                start=float(np.clip(value, 1.01 * lower, 0.99 * upper)),
+                scale=1.0,
+                lower=lower,
+                upper=upper,
+                is_logarithmic=lower > 0.0,
+            )
+        elif name in space.linear and name != TAU_0.name:
+            scale = factor * max(abs(value), _LEAST_SHARE * largest, _TINY)
+            yield Unknown(
+                name=name,
+                of_law=True,
+                start=scale,
+                scale=scale,
+                lower=0.0 if name in non_negative else -np.inf,
+                upper=np.inf,
+                is_logarithmic=False,
+            )
+
+
+def _find_space(law: type[Estimator], started: FrictionLaw) -> SearchSpace:
+    """Return which coefficients are searched, linear, and not negative."""
+    if issubclass(law, OneForm):
+        return law().build_fitted_space(started)
+    # Baselines: sizes of friction, and an offset.
+    names = tuple(name for name in started.values if name != TAU_0.name)
+    return SearchSpace(bounds=(), linear=names, non_negative=len(names))
+
+
+def _number_blocks(records: Sequence[ServoRecord]) -> Integers:
+    """Return the number of the block of time of each row, over all records."""
+    numbers = []
+    first = 0
+    for record in records:
+        blocks = np.floor(record.t / _BLOCK).astype(int)
+        numbers.append(first + blocks)
+        first += int(blocks[-1]) + 1
+    return np.concatenate(numbers)

@@ -1,0 +1,49 @@
+"""Motion of the whole robot along the commands of a log, by the plant that is exported."""
+
+from pathlib import Path
+
+import numpy as np
+
+from fmu_src.plant.plant_fmu import export_plant
+from fmu_src.plant.servo_plant import find_servo_plant
+from fmu_src.run.fmu import FmuInstance
+from fmu_src.run.native import step_rows
+from hesr_model.friction.model import FrictionModel
+from hesr_model.logs.robot_log import Log
+from hesr_model.rigid_body.servo import compute_commands
+from hesr_model.robots.robot import Robot
+from hesr_model.support.arrays import Array
+from hesr_model.support.files import scratch_folder
+
+
+def predict_motion(model: FrictionModel, robot: Robot, log: Log) -> Array:
+    """Return the positions (N, n) [rad; m] of a log without gaps, from its commands alone.
+
+    Raises ExportError if nothing fixes the size of torques, SimulationError if the plant fails.
+    """
+    plant_body, servo = find_servo_plant(model, robot)
+    with scratch_folder() as folder:
+        fmu = export_plant(
+            model, folder / "plant.fmu", plant_body=plant_body, servo=servo, bare=True
+        )
+        return run_plant(fmu, log)
+
+
+def run_plant(fmu: Path, log: Log) -> Array:
+    """Return the positions (N, n) that an exported plant reaches along the commands of a log."""
+    positions, speeds = compute_commands(log)
+    joints = range(1, log.q.shape[1] + 1)
+    starts = {f"q_start[{number}]": float(log.q[0, number - 1]) for number in joints}
+    rows = np.hstack([speeds, positions])
+    with FmuInstance(fmu, name="plant") as instance:
+        inputs = instance.buffer(
+            [f"{name}[{number}]" for name in ("dq_cmd", "q_cmd") for number in joints]
+        )
+        outputs = instance.buffer([f"q[{number}]" for number in joints])
+        inputs.values[:] = rows[0]
+        instance.initialise(start=starts, inputs=inputs)
+        first = outputs.read().copy()
+        reached = step_rows(
+            instance, inputs, outputs, log.t[:-1] - log.t[0], np.diff(log.t), rows[:-1]
+        )
+    return np.vstack([first, reached])

@@ -1,0 +1,123 @@
+"""Records of one joint in one log: commands, positions, and the rigid body along the motion."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hesr_model.errors import FitError
+from hesr_model.logs.robot_log import Log
+from hesr_model.logs.signals import smooth
+from hesr_model.rigid_body.servo import compute_commands
+from hesr_model.robots.robot import Robot
+from hesr_model.support.arrays import Array
+
+_SLOPE_STEP = 1e-5  # [rad; m] between the postures of a difference
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ServoRecord:
+    """Commands and motion of one joint in one log, and what the bodies need along it.
+
+    Attributes
+    ----------
+    log, joint : names.
+    t : (N,) [s], from 0.
+    q_cmd, dq_cmd : (N,) commanded position and speed [rad, rad/s; m, m/s], in force from their row
+        until the next.
+    q : (N,) measured position, unsmoothed.
+    posture, dq, ddq : (N,) smoothed motion.
+    inertia : (N,) of the links about the joint [kg.m2; kg], without armature.
+    bias : (N,) torque [N.m; N] of gravity and of all motion but the joint's own acceleration, at
+        the posture.
+    slope : (N,) of the bias over the joint's position [N.m/rad; N/m].
+    sliding : whether the joint slides.
+    """
+
+    log: str
+    joint: str
+    t: Array
+    q_cmd: Array
+    dq_cmd: Array
+    q: Array
+    posture: Array
+    dq: Array
+    ddq: Array
+    inertia: Array
+    bias: Array
+    slope: Array
+    sliding: bool = False
+
+    @property
+    def tau_load(self) -> Array:
+        """Torque (N,) [N.m; N] that the bodies need along the measured motion."""
+        return self.inertia * self.ddq + self.bias
+
+
+def remove_rotors(robot: Robot, parameters: Array) -> Array:
+    """Return parameters (P,) without rotor inertias, which the fit finds as armature."""
+    links_only = parameters.copy()
+    links_only[10 * robot.links : robot.inertial] = 0.0
+    return links_only
+
+
+def read_servo_records(
+    logs: Sequence[Log], robot: Robot, parameters: Array
+) -> list[list[ServoRecord]]:
+    """Return the records of each joint, [joint][part of a log].
+
+    Parameters
+    ----------
+    logs : logs with commanded positions.
+    robot : robot of the logs, without coupled motors.
+    parameters : rigid-body parameters (P,), for inertia and gravity.
+
+    Raises
+    ------
+    FitError
+        If a log has no commanded positions, or motors turn several joints.
+    """
+    if robot.description.coupling is not None:
+        raise FitError("servos of coupled motors are not identified")
+    links_only = remove_rotors(robot, parameters)
+    joint_records: list[list[ServoRecord]] = [[] for _ in robot.joints]
+    for log in logs:
+        if log.q_cmd is None:
+            raise FitError(f"{log.where}: has no commanded positions (log.columns.q_cmd)")
+        for part in log.parts():
+            for j, record in enumerate(_read_part(part, robot, links_only)):
+                joint_records[j].append(record)
+    return joint_records
+
+
+def _read_part(log: Log, robot: Robot, parameters: Array) -> list[ServoRecord]:
+    """Return the records of a part without gaps, by joint."""
+    motion = smooth(log, robot.description.log.filter_cutoff)
+    assert log.q_cmd is not None
+    speeds = compute_commands(log)[1]
+    mass, velocity_bias = robot.dynamics(parameters, motion.q, motion.dq)
+    records = []
+    for j, joint in enumerate(robot.joints):
+        other_acceleration = motion.ddq.copy()
+        other_acceleration[:, j] = 0.0
+        bias = velocity_bias[:, j] + np.einsum("tk,tk->t", mass[:, j], other_acceleration)
+        shifted = motion.q.copy()
+        shifted[:, j] += _SLOPE_STEP
+        shifted_bias = robot.torque(parameters, shifted, motion.dq, other_acceleration)[:, j]
+        record = ServoRecord(
+            log=log.name,
+            joint=joint,
+            t=log.t - log.t[0],
+            q_cmd=log.q_cmd[:, j],
+            dq_cmd=speeds[:, j],
+            q=log.q[:, j],
+            posture=motion.q[:, j],
+            dq=motion.dq[:, j],
+            ddq=motion.ddq[:, j],
+            inertia=mass[:, j, j],
+            bias=bias,
+            slope=(shifted_bias - bias) / _SLOPE_STEP,
+            sliding=robot.slides[j],
+        )
+        records.append(record)
+    return records
