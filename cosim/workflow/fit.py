@@ -163,8 +163,8 @@ def fit(
     )
     if checked.lacks_torque:
         model = _fit_from_commands(checked, known_law, rigid_body, options, additions, progress)
-        if output is not None:
-            model.write(to_path(output, "'output'"))
+        if output_path is not None:
+            model.write(output_path)
         return model
     body = checked.find_body(rigid_body)
     records = checked.compute_records(body, seed)

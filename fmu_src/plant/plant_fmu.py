@@ -36,7 +36,7 @@ from fmu_src.pages.friction_page import drive_html, model_title
 from fmu_src.plant.dynamics import change_header, dynamics_header, tool_header
 from fmu_src.plant.servo import PositionServo, Servo, ServoGains, find_places
 from fmu_src.run.reference_results import Stimuli, waves
-from hesr_model.errors import ArgumentError, ExportError
+from hesr_model.errors import ExportError
 from hesr_model.friction.inputs import TAU_LOAD, TORQUE
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
@@ -337,15 +337,10 @@ def export_plant(
     """Write a robot under a friction model as an FMU for co-simulation and model exchange.
 
     With `kv` (n,) it includes a servo with a speed command, with `kp` (n,) also a position command,
-<<<<<<< HEAD
-    and is for co-simulation only. With `tool` it has the pose of the last joint's frame. Raises
-    ArgumentError if a gain needs another one that is missing, and
-    ExportError if the friction model belongs to another robot, or a gain is negative.
-=======
     or a `servo` that turns position errors into torque; it is then for co-simulation only. With
-    `tool` it has the pose of the last joint's frame. Raises ExportError if the friction model
-    belongs to another robot, or a gain is negative.
->>>>>>> a8bfe518 (Turn position errors into torque in plants, with delay and limits)
+    `tool` it has the pose of the last joint's frame. Raises ArgumentError if a gain needs another
+    one that is missing, and ExportError if the friction model belongs to another robot, or a gain
+    is negative.
     """
     check_request(path, platforms)
     require_exportable(model, "a plant")
