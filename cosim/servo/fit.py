@@ -42,7 +42,7 @@ _DIFFERENCE = 1e-3  # step of a derivative, relative to an unknown or its scale
 _LATENCY_DIFFERENCE = 2e-4  # [s]
 _LOST = 1e3  # error in place of a run that fails, over the range of the motion
 _LEAST_SHARE = 0.02  # smallest scale of a torque over the largest of the friction
-_TINY = 1e-7  # start of what least squares did not find, over the gain
+_TINY = 1e-7  # start of what least squares did not find, over the gain, and share of round-off
 _ROUND_OFF = 1e-9  # of positions [rad; m]
 _BLOCK = 2.0  # length of the blocks of time whose errors count as independent [s]
 _CLEAR = 2.0  # standard errors by which one more unknown must be better
@@ -420,9 +420,12 @@ def _encode(unknowns: Sequence[Unknown], values: Iterable[float]) -> Array:
 
 def _feels_gravity(records: Sequence[ServoRecord]) -> bool:
     """Return whether the bodies do more than a constant inertia, which the armature absorbs."""
-    bias = max(float(np.ptp(record.bias)) for record in records)
-    inertia = max(float(np.ptp(record.inertia)) for record in records)
-    return bias > 0.0 or inertia > 0.0
+    for record in records:
+        inertial = float(np.ptp(record.inertia * record.ddq))
+        varies = float(np.ptp(record.inertia)) > _TINY * float(np.max(record.inertia))
+        if varies or float(np.ptp(record.bias)) > _TINY * inertial:
+            return True
+    return False
 
 
 def _start_law(

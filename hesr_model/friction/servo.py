@@ -63,7 +63,7 @@ class FittedServo:
 
     servo: JointServo
     scale: ScaleSource
-    scale_error: float | None
+    scale_error: float | None = None
     intervals: Mapping[str, float]
     position_rmse: float
     ideal_rmse: float
