@@ -458,8 +458,25 @@ def _find_best_mistake(
             rivals.append(mistake)
     if best_mistake is None:
         return None, best_share
-    remedy = _add_rivals(best_mistake, rivals, robot)
-    return replace(best_mistake, remedy=remedy), best_share
+    first_mistake, *rivals = _keep_limits([best_mistake, *rivals], robot)
+    if first_mistake is not best_mistake:
+        best_share = _compute_unexplained_share(first_mistake.corrected, robot, is_moving)
+    remedy = _add_rivals(first_mistake, rivals, robot)
+    return replace(first_mistake, remedy=remedy), best_share
+
+
+def _keep_limits(mistakes: Sequence[Mistake], robot: Robot) -> list[Mistake]:
+    """Return the mistakes without which positions exceed limits; all if that decides nothing.
+
+    They explain the torques alike: a correction that leaves a joint beyond its limits leaves a
+    contradiction that another one removes.
+    """
+    within_limits = [
+        mistake
+        for mistake in mistakes
+        if _compute_limit_excess(mistake.corrected.q, robot) <= MAX_EXCESS_SHARE
+    ]
+    return within_limits or list(mistakes)
 
 
 def _add_rivals(mistake: Mistake, rivals: Sequence[Mistake], robot: Robot) -> str:

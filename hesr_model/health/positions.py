@@ -315,6 +315,27 @@ def check_limits(part: SmoothPart, robot: Robot) -> Iterator[Hypothesis]:
         )
 
 
+def is_mirrored(q: Array, robot: Robot, j: int) -> bool:
+    """Return whether positions (N,) [rad, m] keep the limits of a joint only with the other sign.
+
+    They are those of the joint, not of a motor; their zero stays.
+    """
+    description = robot.description
+    if description.logged is not None:
+        return False
+    zero = 0.0 if description.log.zero is None else float(description.log.zero[j])
+    lower, upper = (float(limits[j]) for limits in robot.limits[:2])
+    allowed_excess = MAX_EXCESS_SHARE * (upper - lower)
+    if not np.isfinite(allowed_excess):
+        return False
+
+    def exceeds_limits(positions: Array) -> bool:
+        excess = max(lower - float(positions.min()), float(positions.max()) - upper)
+        return excess > allowed_excess
+
+    return exceeds_limits(q) and not exceeds_limits(2.0 * zero - q)
+
+
 def _correct_degrees(description: RobotDescription, is_rotary: Array) -> str | tuple[object, ...]:
     corrected_units = description.log.units.replace_units("q", is_rotary.tolist(), "deg")
     return "deg" if len(set(corrected_units)) == 1 else corrected_units

@@ -15,6 +15,7 @@ from hesr_model.health.evidence import (
     fit_joint_torque,
     friction_shape,
 )
+from hesr_model.health.positions import is_mirrored
 from hesr_model.health.referee import (
     CURE_GAIN,
     MATERIAL_GAIN,
@@ -219,7 +220,14 @@ def check_torque(
         if doubt is not None:
             yield doubt
             continue
-        yield from _doubt_sign(fit, j, robot, explanations, is_stated=is_stated)
+        yield from _doubt_sign(
+            fit,
+            j,
+            robot,
+            explanations,
+            is_stated=is_stated,
+            is_mirrored=is_mirrored(part.q[:, j], robot, j),
+        )
         if is_stated:
             if j not in blurred_joints:
                 yield from _doubt_scale(fit, j, fits, robot, explanations)
@@ -310,9 +318,18 @@ def _doubt_gravity(
 
 
 def _doubt_sign(
-    fit: TorqueFit, j: int, robot: Robot, explanations: Explanations | None, *, is_stated: bool
+    fit: TorqueFit,
+    j: int,
+    robot: Robot,
+    explanations: Explanations | None,
+    *,
+    is_stated: bool,
+    is_mirrored: bool,
 ) -> Iterator[Hypothesis]:
-    """Doubt the sign of a torque that drives the motion where friction should brake it."""
+    """Doubt the sign of a torque that drives the motion where friction should brake it.
+
+    Gravity decides whose sign it is. Without gravity, limits that only mirrored positions keep do.
+    """
     if fit.friction.value >= 0.0:
         return
     description = robot.description
@@ -330,10 +347,15 @@ def _doubt_sign(
         if is_stated:
             trials.append(explanations.race_torque_signs())
     follows_gravity = fit.bears_gravity and fit.gravity.t > _SIGNIFICANCE
-    subject = "position and velocity count" if follows_gravity else "torque counts"
-    changes = find_sign_change(description, j, position=follows_gravity)
+    is_of_position = follows_gravity if fit.bears_gravity else is_mirrored
+    subject = "position and velocity count" if is_of_position else "torque counts"
+    changes = find_sign_change(description, j, position=is_of_position)
     unit = unit_of_joint("N.m", is_prismatic=robot.slides[j])
-    alternative = "" if fit.bears_gravity else ", or its position and velocity do"
+    alternative = ", or its position and velocity do"
+    if fit.bears_gravity:
+        alternative = ""
+    elif is_mirrored:
+        alternative = ", since only then they keep the model's limits"
     yield Hypothesis(
         check="torque-sign",
         joint=description.joints[j],

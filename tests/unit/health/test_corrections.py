@@ -321,8 +321,10 @@ def test_friction_must_brake_at_the_speeds_seen(
 def test_an_odd_law_is_reported(rmse: float, ratio: float, checks: list[str]) -> None:
     t = 0.01 * np.arange(200)
     tau = np.where(t < 1.0, 1.0, -1.0)
+    dq = (1.0 + t) * tau
+    q = 0.01 * np.cumsum(dq)
     record = FrictionRecord(
-        log="run", joint="a", t=t, dq=(1.0 + t) * tau, q=tau, tau_load=tau, tau=tau, gear_ratio=None
+        log="run", joint="a", t=t, dq=dq, q=q, tau_load=tau, tau=tau, gear_ratio=None
     )
     law = SimpleNamespace(values={"F_c": 2.0, "F_s": 2.0 * ratio})
     model = SimpleNamespace(joints=("a",), training_rmse=[rmse], laws=[law])

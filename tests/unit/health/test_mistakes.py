@@ -354,3 +354,35 @@ def test_a_finding_survives_json() -> None:
     )
     assert from_json(Finding, to_json(finding), Path("health.json"), "a finding") == finding
     assert finding.sentence == "log x and 1 more, joint 'a': f: c."
+
+
+def limit_first_joint(robot: Robot, limits: str) -> Robot:
+    """Return the arm with other limits of its first joint, whose axis is vertical."""
+    path = robot.description.model
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace('range="-3 3"', f'range="{limits}"'), encoding="utf-8")
+    return Robot(robot.description)
+
+
+@pytest.mark.parametrize(
+    ("limits", "check", "key", "words"),
+    [
+        ("-1.6 3", "position-sign", "log.units.q", ""),
+        ("-3 1.6", "torque-sign", "log.units.tau", ""),
+        ("-3 3", "torque-sign", "log.units.tau", "position and velocity"),
+    ],
+)
+def test_limits_decide_a_sign_that_gravity_does_not(
+    limits: str, check: str, key: str, words: str, log: Log, arm_model: Robot
+) -> None:
+    """A position that is reversed beyond the limits is no torque that counts backwards."""
+    spoilt = replace(log, q=column(log.q, 0, -1.0, -1.4), dq=column(log.dq, 0, -1.0))
+    assert spoilt.q[:, 0].min() < -2.0
+    robot = limit_first_joint(arm_model, limits)
+    findings = examine([spoilt], robot.description, robot).findings
+    sign_findings = [f for f in findings if f.check.endswith("-sign") and f.joints == ("j1",)]
+    (finding,) = sign_findings
+    assert finding.check == check
+    assert key in finding.changes
+    assert words in finding.remedy
+    assert ("cannot show which" in finding.remedy) == bool(words)
