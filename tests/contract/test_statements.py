@@ -45,7 +45,8 @@ WITH_UNIT = {
     ("mistakes", "_MIN_TILT"): "of a mounting; angles have no size of a robot",
     ("positions", "_TURN"): "the angle after which encoders wrap",
     ("velocity", "_MAX_ARM_TRAVEL"): "two turns; cables of arms allow no more",
-    ("positions", "_MAX_SLIDING_TRAVEL"): "only a length contradicts a unit of length",
+    ("positions", "_MAX_SLIDING_TRAVEL"): "only a length contradicts a unit of length; it is the "
+    "last witness, of joints without limits whose speed is not that of a fall",
     ("positions", "_PLAUSIBLE_PERIODS"): "only a period contradicts a unit of time",
     # Lags are those of clocks and filters, which do not know how large a robot is.
     ("velocity", "_MAX_LAG"): "end of a search",
@@ -69,6 +70,26 @@ OTHERS = {
     ("timing", "_MIN_SHARE_OF_MEMORY"), ("torque", "_ROWS_OF_A_CHANGE"),
 }  # fmt: skip
 """Numbers without a unit whose names do not end like those of others."""
+
+
+SCORES = {
+    ("torque", "NO_SIGNAL_R2"): "bound of a score on folds: what a statistic of left-out rows must "
+    "exceed; below it no race about scales is run",
+    ("torque", "_MIN_R2"): "selects fits worth a comparison of joints, or without a race; the "
+    "statement has statistics of its own",
+    ("mistakes", "_MIN_R2"): "selects corrections worth a race on folds, which decides",
+    ("mistakes", "_MIN_GAIN"): "selects corrections worth a race on folds, which decides",
+    ("mistakes", "_MIN_GAIN_OVER_SIMPLER"): "a simpler mistake that explains as much is named "
+    "instead, or beside it",
+    ("referee", "MATERIAL_GAIN"): "of every race: share of squared errors on left-out rows",
+    ("referee", "CURE_GAIN"): "of races that change a file: share of squared errors",
+    ("omissions", "_MIN_GAIN"): "of a race on folds: a size differs near reversals only, which "
+    "are few rows, and its uncertainty must be smaller still",
+    ("omissions", "_KNEE_SHARES"): "candidates of a shape over the peak speed; folds choose",
+    ("evidence", "_KNEE_SHARE"): "shape over the peak speed, the same for all rivals of a race",
+    ("trials", "_KNEE_SHARE"): "shape over the peak speed, the same for all rivals of a race",
+}
+"""Scores and shapes, each with the reason why it decides nothing alone."""
 
 
 def read_numbers(path: Path) -> Iterator[tuple[str, str]]:
@@ -105,6 +126,13 @@ def test_no_number_that_decides_has_a_unit(path: Path) -> None:
 def test_numbers_that_are_listed_exist() -> None:
     names = {(path.stem, name) for path in MODULES for name, _ in read_numbers(path)}
     assert (set(WITH_UNIT) | OTHERS) - names == set()
+
+
+def test_scores_decide_nothing_alone() -> None:
+    """Shares of explained squares are bounds of races on folds, or select what is raced."""
+    pattern = re.compile(r"_R2$|_KNEE_SHARES?$|_GAIN(_OVER_\w+)?$")
+    names = {(path.stem, name) for path in MODULES for name, _ in read_numbers(path)}
+    assert {(stem, name) for stem, name in names if pattern.search(name)} == set(SCORES)
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: path.stem)
