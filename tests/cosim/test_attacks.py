@@ -2,11 +2,14 @@
 
 import os
 import platform
+import resource
 import subprocess
 import sys
+from errno import ENOTTY, EPERM
 from pathlib import Path
 
 import pytest
+from processes import list_children
 from system_calls import read_numbers
 from test_foreign_fmus import go, hostile_lag, linux
 
@@ -15,6 +18,7 @@ from fmu_src.run.sandbox import SandboxedInstance
 from hesr_model.errors import SimulationError
 from hesr_model.support import rights
 from hesr_model.support.child import run_in_child
+from hesr_model.support.process import DiedError
 
 __all__ = ["hostile_lag"]
 
@@ -154,6 +158,107 @@ def test_no_attack_is_on_the_list(processor: str) -> None:
     names = {line.split()[0] for line in ATTACKS}
     assert names & rights.CALLS.keys() <= checked
     assert len(names & read_numbers(processor).keys()) > 90
+
+
+LAST_NUMBER = 1023
+"""The kernel's table ends at 470 today; further calls get the next numbers."""
+PROBES = (335, 336)
+"""uretprobe and uprobe on x86-64: no filter sees them. They do nothing without a probe, or end
+the process."""
+COMPATIBLE = 0x40000000
+"""Bit of the calls of the x32 interface, a second way to each call."""
+
+
+def list_allowed() -> dict[int, str]:
+    """Return the names of the allowed calls by their number on this machine."""
+    column, _ = rights._PROCESSORS[platform.machine()]
+    return {row[column]: name for name, row in rights.CALLS.items() if row[column] is not None}
+
+
+def read_limits() -> list[tuple[int, int]]:
+    names = [name for name in vars(resource) if name.startswith("RLIMIT_")]
+    return [resource.getrlimit(getattr(resource, name)) for name in names]
+
+
+def call_in_child(folder: Path, calls: list[list[int]], seconds: float = 60.0) -> list[int]:
+    return run_in_child(
+        "attackers:call_system", calls, folder=folder, seconds=seconds, readable=[folder]
+    )
+
+
+def find_end(folder: Path, number: int) -> int | str:
+    """Return the error of a call without arguments, or how it ended its process."""
+    try:
+        (error,) = call_in_child(folder, [[number]], seconds=2.0)
+    except DiedError as death:
+        return str(death)
+    return error
+
+
+@linux
+def test_every_number_that_is_not_on_the_list_is_refused(tmp_path: Path) -> None:
+    """Numbers of the kernel's table, those that later kernels may have, and those of x32."""
+    allowed = list_allowed()
+    probes = PROBES if platform.machine() == "x86_64" else ()
+    numbers = [n for n in range(LAST_NUMBER + 1) if n not in allowed and n not in probes]
+    numbers += [number | COMPATIBLE for number in range(LAST_NUMBER + 1)]
+    numbers += [-1, -(2**31), 2**31 - 1, 2**32]
+    if 0 in allowed:
+        numbers.remove(2**32)  # the kernel reads the lower half only: a read of no bytes
+    errors = call_in_child(tmp_path, [[number] for number in numbers])
+    others = {n: e for n, e in zip(numbers, errors, strict=True) if e != EPERM}
+    assert others == {}
+    for number in probes:
+        assert find_end(tmp_path, number) != 0
+
+
+@linux
+def test_every_argument_that_is_not_on_the_list_is_refused(tmp_path: Path) -> None:
+    """All commands of calls that are allowed for some; -1 is no file, so that nothing happens."""
+    numbers = {name: number for number, name in list_allowed().items()}
+    calls = [[numbers["fcntl"], -1, c] for c in range(2048) if c not in rights._COMMANDS]
+    calls += [[numbers["prctl"], option] for option in range(1024) if option not in rights._OPTIONS]
+    requests = set(range(1 << 16)) - {*rights._REQUESTS, *rights._INHERITANCE}
+    calls += [[numbers["ioctl"], -1, request] for request in requests]
+    for bit in range(32):
+        flag = 1 << bit
+        if flag != rights._THREAD:  # a process, whatever else
+            calls.append([numbers["clone"], flag])
+        if flag & rights._FOREIGN_CLONES:
+            calls.append([numbers["clone"], rights._THREAD | flag])
+    for process in (1, -1, os.getpid(), os.getppid()):
+        calls += [[numbers[name], process] for name in (*rights._OF_ITSELF, "prlimit64")]
+    errors = call_in_child(tmp_path, calls)
+    others = [call for call, error in zip(calls, errors, strict=True) if error != EPERM]
+    assert others == []
+    inheritance = [[numbers["ioctl"], -1, request] for request in rights._INHERITANCE]
+    assert call_in_child(tmp_path, inheritance) == [ENOTTY] * 2
+
+
+@pytest.mark.ci
+@linux
+def test_each_allowed_call_without_arguments_harms_the_child_only(
+    target: Path, tmp_path: Path
+) -> None:
+    """Some wait for ever, end the process or break it; nothing else changes."""
+    priority = os.getpriority(os.PRIO_PROCESS, 0)
+    affinity = os.sched_getaffinity(0)
+    limits = read_limits()
+    objects = list_ipc()
+    ends = {}
+    for number, name in list_allowed().items():
+        folder = tmp_path / name
+        folder.mkdir()
+        ends[name] = find_end(folder, number)
+    assert len(ends) > 100
+    assert ends["exit_group"] == "ended its process with exit code 0"
+    assert "2 s" in ends["pause"]
+    assert list_children() == []
+    assert target.read_text(encoding="utf-8") == "untouched"
+    assert list_ipc() == objects
+    assert os.getpriority(os.PRIO_PROCESS, 0) == priority
+    assert os.sched_getaffinity(0) == affinity
+    assert read_limits() == limits
 
 
 @linux
