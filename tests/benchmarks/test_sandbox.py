@@ -1,5 +1,6 @@
 """Cost of isolating foreign FMUs, for our FMUs and for foreign ones."""
 
+import json
 import subprocess
 import sys
 import time
@@ -112,6 +113,56 @@ def test_children_start_fast(tell: Tell) -> None:
     tell(f"first child {min(firsts):.2f} s, further ones {1e3 * min(others):.0f} ms")
     assert min(firsts) < 0.6
     assert min(others) < 0.05
+
+
+LOGS = """
+import json, sys, time
+from pathlib import Path
+from hesr_model.logs.readers.formats import find_format
+from hesr_model.logs.log_format import LogFormat
+from hesr_model.support.child import Child
+
+log = Path(sys.argv[1])
+read = find_format(log).table
+
+def measure(work):
+    begin = time.perf_counter()
+    work()
+    return time.perf_counter() - begin
+
+def start_child():
+    child = Child(log.parent, 20.0, [log.parent], "h5py")
+    child.run("os:getpid")
+    child.kill()
+
+works = {"child": start_child, "log": lambda: read(log, LogFormat()).numbers(["t"])}
+print(json.dumps([measure(works[sys.argv[2]]) for _ in range(26)]))
+"""
+
+
+def test_logs_are_read_in_children_fast(tell: Tell, tmp_path: Path) -> None:
+    """Target: an HDF5 log costs at most 2.5 times a child that does nothing, first and further.
+
+    Both are measured in turn, the fastest of several counts: 60 rows take no time by themselves.
+    """
+    h5py = pytest.importorskip("h5py", reason="needs hesr[formats]")
+    log = tmp_path / "log.h5"
+    with h5py.File(log, "w") as file:
+        for name in ("t", "q1", "dq1", "tau1"):
+            file.create_dataset(name, data=[0.01 * k for k in range(60)])
+    firsts: dict[str, list[float]] = {"child": [], "log": []}
+    others: dict[str, list[float]] = {"child": [], "log": []}
+    for _ in range(5):
+        for name in firsts:
+            command = [sys.executable, "-c", LOGS, str(log), name]
+            out = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+            first, *further = json.loads(out)
+            firsts[name].append(first)
+            others[name] += further
+    for place, times in (("first", firsts), ("further", others)):
+        child, read = min(times["child"]), min(times["log"])
+        tell(f"{place}: child {1e3 * child:.0f} ms, log {1e3 * read:.0f} ms, {read / child:.2f}")
+        assert read < 2.5 * child
 
 
 def foreign(fmu: Path, copy: Path) -> Path:
