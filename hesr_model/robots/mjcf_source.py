@@ -18,6 +18,7 @@ from hesr_model.errors import ConfigError
 from hesr_model.support.text import on_one_line, quote
 
 _MAX_PARTS = 15_000  # per MJCF; compile time grows with the square, to 7 s here
+_MAX_DEPTH = 500  # of elements; MuJoCo's parser reads a few less
 _MAX_CELLS = 1 << 26  # of height fields and textures, in total
 _MAX_FILE_BYTES = 1 << 30  # of all files, half of the memory to compile them
 _MAX_SIZE = 1 << 60  # larger numbers in a file are this
@@ -251,9 +252,14 @@ class _Reader:
             ) from error
 
     def _insert_includes(
-        self, mjcf: _Mjcf, element: Element, folder: Path, included: set[Path]
+        self, mjcf: _Mjcf, element: Element, folder: Path, included: set[Path], depth: int = 1
     ) -> None:
         """Replace includes by their content, in an element of a file in a folder."""
+        if depth > _MAX_DEPTH:
+            raise ConfigError(
+                f"{mjcf.path}: has more than {_MAX_DEPTH} elements within each other, which MuJoCo "
+                "does not read."
+            )
         for k, child in reversed(list(enumerate(element))):
             inner = child
             inner_folder = folder
@@ -269,7 +275,7 @@ class _Reader:
                     mjcf.folders.append(file.parent)
                 inner = self._parse(file)
                 inner_folder = file.parent
-            self._insert_includes(mjcf, inner, inner_folder, included)
+            self._insert_includes(mjcf, inner, inner_folder, included, depth + 1)
             if inner is not child:
                 element[k : k + 1] = list(inner)
 

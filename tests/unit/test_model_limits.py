@@ -62,6 +62,18 @@ def test_a_small_file_of_huge_sizes_is_refused_before_it_is_compiled(
             use(path)
 
 
+@pytest.mark.parametrize("part", [300, 100_000])
+def test_deep_models_are_refused(part: int, tmp_path: Path) -> None:
+    """Files may be deep, or include each other at their innermost elements."""
+    names = ["model.xml", "b.xml", "c.xml"]
+    for name, included in zip(names, [*names[1:], ""], strict=True):
+        inner = f'<include file="{included}"/>' if included else ""
+        text = "<body>" * part + inner + "</body>" * part
+        (tmp_path / name).write_text(f"<mujoco><worldbody>{text}</worldbody></mujoco>")
+    with pytest.raises(RobotError, match="more than 500 elements"):
+        compile_robot(tmp_path / "model.xml")
+
+
 def test_attachments_of_copies_count(tmp_path: Path) -> None:
     write(tmp_path, "", "<site/>" * 100, "inner.xml")
     asset = '<model name="m" file="inner.xml"/>'
