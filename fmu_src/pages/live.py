@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from itertools import zip_longest
 from math import floor, log10
+from pathlib import Path
 from typing import Any
 
 import sympy
@@ -21,11 +22,14 @@ from fmu_src.friction.friction_component import place, scale_names
 from fmu_src.friction.reference import trained_speed
 from fmu_src.pages.html import TEMPLATES, render_template
 from fmu_src.pages.mathml import symbol
+from hesr_model.errors import ArtifactError
 from hesr_model.friction.inputs import INPUTS, TAU_LOAD, Q
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.support.files import scratch_folder
+from hesr_model.support.text import join_few, on_one_line, parse_json, quote
+from hesr_model.support.typed_files import from_json, to_json
 from hesr_model.units import unit_of_joint
 
 
@@ -105,6 +109,51 @@ class Knob:
     most: float | None = None
     symbol: str = ""
     reference: int | None = None
+
+
+@dataclass(frozen=True)
+class LiveJoint:
+    """Data of a joint; `references` are the variables of the module by connector."""
+
+    name: str
+    references: dict[str, int]
+    units: dict[str, str]
+    speeds: tuple[float, float] | None
+    motion: tuple[Knob, ...]
+    coefficients: tuple[Knob, ...]
+
+
+@dataclass(frozen=True)
+class LiveData:
+    """JSON data of an interactive section: a packed WebAssembly module, step [s] and joints."""
+
+    module: str
+    step: float
+    joints: tuple[LiveJoint, ...]
+
+
+_MATHML = re.compile(r'(?:</?m[a-z]+(?: class="dot")?>|[^<])*')
+"""Symbols of a page, which the browser shows as markup: MathML, with attributes of dots only."""
+
+
+def read_live_data(text: str, path: Path) -> dict[str, Any]:
+    """Return the data of an interactive section that an FMU carries; raises ArtifactError."""
+    try:
+        data = parse_json(text)
+    except ValueError as error:
+        raise ArtifactError(f"{path}: not a readable page ({on_one_line(error)}).") from error
+    live = from_json(LiveData, data, path, "the data of a plot")
+    for joint in live.joints:
+        missing_units = _UNITS.keys() - joint.units.keys()
+        if missing_units:
+            raise ArtifactError(f"{path}: a plot has no unit of {join_few(sorted(missing_units))}.")
+        for knob in joint.coefficients:
+            if not _MATHML.fullmatch(knob.symbol):
+                raise ArtifactError(f"{path}: the symbol {quote(knob.symbol)} is not MathML.")
+    if not live.joints:
+        raise ArtifactError(f"{path}: the data of a plot name no joint.")
+    checked: dict[str, Any] = to_json(live)
+    return checked
 
 
 def live_data(model: FrictionModel, interface: Interface, module: bytes) -> dict[str, Any]:

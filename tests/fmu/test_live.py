@@ -14,7 +14,8 @@ import pytest
 from registry_models import live_of
 
 from fmu_src.friction.friction_component import friction_equations
-from fmu_src.pages.live import ends, live_section
+from fmu_src.pages.live import ends, live_section, read_live_data
+from hesr_model.errors import ArtifactError
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
@@ -50,6 +51,43 @@ def test_the_module_is_small_and_imports_nothing(live: dict[str, Any]) -> None:
     assert IMPORTS not in sections(module)
     assert len(module) < 48 * 1024
     assert b"/tmp" not in module
+
+
+def test_data_of_a_page_are_read_as_written(live: dict[str, Any]) -> None:
+    assert read_live_data(json.dumps(live), Path("a.fmu")) == json.loads(json.dumps(live))
+
+
+MARKUP = ("<img src=x>", "<a href='x'>", "<math onclick='x'>", "<script>", '<mo class="a" id="b">')
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        *({"symbol": text} for text in MARKUP),
+        {"value": "text"}, {"value": None}, {"low": [1.0]},
+    ],
+)  # fmt: skip
+def test_other_data_of_a_page_are_refused(change: dict[str, Any], live: dict[str, Any]) -> None:
+    """Reports show the plots of FMUs that others have made."""
+    data = json.loads(json.dumps(live))
+    data["joints"][0]["coefficients"][0] |= change
+    with pytest.raises(ArtifactError, match=r"^a\.fmu: "):
+        read_live_data(json.dumps(data), Path("a.fmu"))
+
+
+@pytest.mark.parametrize("change", [{"units": {}}, {"speeds": [1.0]}, {"references": {"q": "q"}}])
+def test_other_joints_of_a_page_are_refused(change: dict[str, Any], live: dict[str, Any]) -> None:
+    data = json.loads(json.dumps(live))
+    data["joints"][0] |= change
+    with pytest.raises(ArtifactError, match=r"^a\.fmu: "):
+        read_live_data(json.dumps(data), Path("a.fmu"))
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", "null", "[" * 100_000, "9" * 5000])
+def test_other_texts_of_a_page_are_refused(text: str, live: dict[str, Any]) -> None:
+    for content in (text, json.dumps({**live, "joints": []})):
+        with pytest.raises(ArtifactError, match=r"^a\.fmu: "):
+            read_live_data(content, Path("a.fmu"))
 
 
 def test_the_module_is_reproducible(table1: FrictionModel, live: dict[str, Any]) -> None:

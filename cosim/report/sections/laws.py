@@ -1,6 +1,5 @@
 """Equations (Table I), hysteresis state (Fig. 2), ablation, plots and physics of laws."""
 
-import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -28,7 +27,7 @@ from cosim.report.tables.table import (
 from cosim.study.scores import MEASURED_START, REFERENCE
 from fmu_src.friction.friction_component import is_exposed
 from fmu_src.pages.datasheet import describe_certificate
-from fmu_src.pages.live import live_assets, live_section
+from fmu_src.pages.live import live_assets, live_section, read_live_data
 from fmu_src.pages.mathml import equations as typeset
 from fmu_src.pages.mathml import symbol
 from fmu_src.run.archive import Archive
@@ -226,11 +225,10 @@ def live(results: Results) -> dict[str, Any] | None:
 def _live_data(fmu: Path) -> dict[str, Any] | None:
     try:
         with Archive(fmu) as archive:
-            page = archive.read(_PAGE).decode("utf-8")
+            match = _DATA.search(archive.read(_PAGE).decode("utf-8"))
+        return read_live_data(match[1], fmu) if match else None
     except (ArtifactError, UnicodeDecodeError):
         return None
-    match = _DATA.search(page)
-    return json.loads(match[1]) if match else None
 
 
 _ROUNDING = 1e-6  # energy of round-off [J]
