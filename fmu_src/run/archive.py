@@ -108,6 +108,9 @@ class Archive:
             for name, count in name_counts.items():
                 if count > 1:
                     raise self._refusal(f"it has {count} entries named {quote(name)}")
+            for name in name_counts:
+                for folder in name_counts.keys() & set(_list_folders(name)):
+                    raise self._refusal(f"its entry {quote(folder)} is a file and a folder")
             self._entries = {entry.filename: entry for entry in zip_entries if not is_folder(entry)}
             self._cleanup = cleanup.pop_all()
         return self
@@ -176,6 +179,14 @@ def _pieces(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Iterator[bytes]
             yield piece
     if byte_count != entry.file_size:
         raise EOFError(f"it claims {entry.file_size} bytes and has {byte_count}")
+
+
+def _list_folders(name: str) -> Iterator[str]:
+    """Yield the folders that a file lies in."""
+    folder = name
+    while "/" in folder:
+        folder = folder.rpartition("/")[0]
+        yield folder
 
 
 def is_folder(entry: zipfile.ZipInfo) -> bool:

@@ -18,7 +18,10 @@ from small_study import Hesr, Run, hesr_here, uf850
 
 from hesr.cli.app import app
 
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="pipes in folders are those of POSIX")
+pytestmark = [
+    pytest.mark.ci,
+    pytest.mark.skipif(os.name != "posix", reason="pipes in folders are those of POSIX"),
+]
 
 Use = Mapping[str, str | bool]
 
