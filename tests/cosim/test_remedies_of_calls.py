@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import sympy
+from hobby_servo import draw_hobby_servo
 from printed_lines import write_line
 from pydantic import ValidationError
 from remedy_places import Place, read_quoted, refuse
@@ -375,6 +376,29 @@ def source_of_a_constant(place: Place) -> Iterator[str]:
     yield identify(write_line(text, table, "torque_per_ampere", "'measured'"))
 
 
+def commands_instead_of_torque(place: Place) -> Iterator[str]:
+    """A log of commands: a command that needs torque names the one that does not."""
+    draw_hobby_servo(place.folder, 3, rate=100.0).write_log(place.folder / "log.csv")
+    robot = place.folder / "robot.toml"
+    log = place.folder / "log.csv"
+    yield (sentence := refuse(lambda: hesr.identify(log, robot=robot)))
+    (command,) = re.findall(r"'hesr (\w+)' finds", sentence)
+    yield refuse(lambda: getattr(hesr, command)(log, robot=robot, law="coulomb_viscous"))
+
+
+def law_alone(place: Place) -> Iterator[str]:
+    draw_hobby_servo(place.folder, 3, rate=100.0).write_log(place.folder / "log.csv")
+    robot = place.folder / "robot.toml"
+
+    def fit(**arguments: Any) -> str:
+        return refuse(lambda: hesr.fit(place.folder / "log.csv", robot=robot, **arguments))
+
+    yield (sentence := fit(law="coulomb_viscous", add="temperature"))
+    name, *excluded = read_quoted(sentence, "give the name of")
+    assert excluded == ["options", "add", "prior"]
+    yield fit(**{name: "coulomb_viscous"})
+
+
 EXECUTED: dict[str, Callable[[Place], Iterator[str]]] = {
     "the logs do not name their robot; give": name_of_robot,
     "give 'robot' to read this log": robot_of_a_path,
@@ -385,6 +409,8 @@ EXECUTED: dict[str, Callable[[Place], Iterator[str]]] = {
     "coefficients have no covariance": covariance_of_a_prior,
     "body with body = ": body_of_a_plant,
     'set body = "physical" in': body_of_a_study,
+    "which this command needs; without it": commands_instead_of_torque,
+    "have no torque; give the name of": law_alone,
     "has no 'unit'; give it": unit_of_a_coefficient,
     "nor a state; add it to 'coefficients'": coefficient_of_a_law,
     "use the 'symbol' of a coefficient": symbol_of_a_law,
