@@ -34,6 +34,7 @@ class HobbyServo:
     """A draw: what a fit must find, and its log."""
 
     robot: Robot
+    body_factor: float  # of the log's lever, over that of the robot file
     servo: PositionServo
     armature: float
     law: FrictionLaw
@@ -81,15 +82,21 @@ def draw_hobby_servo(
     seconds: float = 40.0,
     bits: int = 12,
     extra: str = "",
+    body_error: float = 0.0,
+    command_filter: float = 0.0,
 ) -> HobbyServo:
-    """Draw lever, servo, friction and commands, and simulate the log in `folder`."""
+    """Draw lever, servo, friction and commands, and simulate the log in `folder`.
+
+    The lever of the robot file is lighter than that of the log by a factor with the relative
+    standard error `body_error`.
+    """
     generator = np.random.default_rng(seed)
     chosen_rate = rate or float(generator.choice([50.0, 100.0, 200.0]))
     t = np.arange(int(seconds * chosen_rate) + 1) / chosen_rate
     q_cmd = draw_commands(generator, t)
-    robot = Robot(
-        write_robot(folder, generator.uniform(0.25, 0.5), generator.uniform(0.12, 0.2), extra)
-    )
+    mass = generator.uniform(0.25, 0.5)
+    centre = generator.uniform(0.12, 0.2)
+    true_robot = Robot(write_robot(folder, mass, centre, extra))
     kp = generator.uniform(8.0, 25.0)
     coulomb = generator.uniform(0.03, 0.15)
     viscous = generator.uniform(0.3, 0.9) * kp / 18.0
@@ -105,15 +112,18 @@ def draw_hobby_servo(
         ki=(0.0,),
         kd=(0.0,),
         torque_limit=(1e6,),
-        command_filter=(0.0,),
+        command_filter=(command_filter,),
         speed_limit=(1e6,),
         latency=generator.uniform(0.005, 0.04),
     )
     armature = generator.uniform(0.005, 0.03)
-    exact = simulate(folder, robot, servo, armature, law, t, q_cmd)
+    exact = simulate(folder, true_robot, servo, armature, law, t, q_cmd)
+    body_factor = float(np.exp(body_error * generator.standard_normal()))
+    robot = Robot(write_robot(folder, mass / body_factor, centre, extra))
     step = 2.0 * np.pi / 2**bits
     return HobbyServo(
         robot=robot,
+        body_factor=body_factor,
         servo=servo,
         armature=armature,
         law=law,

@@ -17,6 +17,7 @@ from cosim.servo.start import (
     MAX_LATENCY,
     ServoStart,
     delay_commands,
+    find_filtered_start,
     find_start,
     separate_friction,
 )
@@ -162,7 +163,7 @@ class JointProblem:
         self._use(_select_seconds(all_records, _SEARCH_SECONDS), SUBSTEP)
         searches = []
         for factor in _START_FACTORS:
-            unknowns = tuple(self._list_unknowns(factor))
+            unknowns = tuple(self._list_unknowns(factor, self._start, self.law))
             search = _Search(self, unknowns)
             searches.append((search, search.minimise(_encode_starts(unknowns), _SEARCH_RUNS)))
         costs = [search.compute_cost(numbers) for search, numbers in searches]
@@ -170,8 +171,7 @@ class JointProblem:
             raise FitError(f"joint '{self._records[0].joint}': no start of the fit runs")
         search, numbers = searches[int(np.nanargmin(costs))]
         numbers = search.minimise(numbers, _POLISH_RUNS)
-        for candidate in self._list_candidates(search, numbers):
-            search, numbers = self._try_candidate(search, numbers, candidate)
+        search, numbers = self._complete_servo(search, numbers)
         self._use(all_records, SUBSTEP)
         numbers = search.minimise(numbers, _POLISH_RUNS)
         self._substep = FINE_SUBSTEP
@@ -233,9 +233,10 @@ class JointProblem:
                 changes[unknown.name] = value
         return replace(self._base, **changes), values
 
-    def _list_unknowns(self, factor: float) -> Iterator[Unknown]:
+    def _list_unknowns(
+        self, factor: float, start: ServoStart, law: FrictionLaw
+    ) -> Iterator[Unknown]:
         """Yield the unknowns with starts whose torques over the gain are multiplied."""
-        start = self._start
         inertia = max(float(np.mean(record.inertia)) for record in self._records)
         if _feels_gravity(self._records):
             yield _positive("body_factor", factor * max(start.body, 0.1 * start.armature / inertia))
@@ -255,7 +256,22 @@ class JointProblem:
             yield _size("kd", factor * max(start.viscous, _TINY))
         if self._kind == "pid":
             yield _size("ki", 1.0)
-        yield from _list_coefficients(self._estimator, self.law, factor)
+        yield from _list_coefficients(self._estimator, law, factor)
+
+    def _complete_servo(self, search: "_Search", numbers: Array) -> tuple["_Search", Array]:
+        """Return the search with what else the servo does, the most helpful first."""
+        while True:
+            best = search, numbers
+            least = search.compute_squares(numbers)
+            for candidate in self._list_candidates(search, numbers):
+                longer, found = self._try_candidate(search, numbers, candidate)
+                squares = longer.compute_squares(found)
+                if squares < least:
+                    best = longer, found
+                    least = squares
+            if best[0] is search:
+                return search, numbers
+            search, numbers = best
 
     def _list_candidates(self, search: "_Search", numbers: Array) -> Iterator[Unknown]:
         """Yield what else a servo may do, if the errors are larger than the encoder's steps."""
@@ -268,26 +284,51 @@ class JointProblem:
             for record in self._records
         )
         fastest = max(float(np.max(np.abs(record.dq))) for record in self._records)
-        yield _positive("torque_limit", 0.5 * largest_torque)
-        yield _positive("command_filter", 0.05)
-        yield _positive("speed_limit", 0.95 * fastest)
+        candidates = (
+            _positive("torque_limit", 0.5 * largest_torque),
+            _positive("command_filter", 0.05),
+            _positive("speed_limit", 0.95 * fastest),
+        )
+        known = {unknown.name for unknown in search.unknowns}
+        yield from (candidate for candidate in candidates if candidate.name not in known)
 
     def _try_candidate(
         self, search: "_Search", numbers: Array, candidate: Unknown
     ) -> tuple["_Search", Array]:
         """Return the search with one more unknown if its errors are clearly smaller."""
         longer = _Search(self, (*search.unknowns, candidate))
-        started = np.append(numbers, candidate.encode(candidate.start))
-        found = longer.minimise(started, _POLISH_RUNS)
-        squares = search.compute_residual(numbers) ** 2
-        gains = squares - longer.compute_residual(found) ** 2
-        blocks = _number_blocks(self._records)
-        sums = np.bincount(blocks, weights=gains)
-        spread = float(np.std(sums, ddof=1)) * np.sqrt(len(sums))
-        is_clear = float(np.sum(sums)) > _CLEAR * spread
-        if is_clear and float(np.sum(gains)) > _WORTH * float(np.sum(squares)):
+        starts = [np.append(numbers, candidate.encode(candidate.start))]
+        if candidate.name == "command_filter":
+            starts.append(self._encode_filtered_start(longer))
+        searches = [longer.minimise(started, _POLISH_RUNS) for started in starts]
+        found = min(searches, key=longer.compute_squares)
+        squares = self._sum_blocks(search, numbers)
+        fewer = self._sum_blocks(longer, found)
+        # Logarithms, because the errors of a few blocks may exceed those of all others.
+        gains = np.log(squares / fewer)
+        spread = float(np.std(gains, ddof=1)) * np.sqrt(len(gains))
+        is_clear = float(np.sum(gains)) > _CLEAR * spread
+        if is_clear and float(np.sum(fewer)) < (1.0 - _WORTH) * float(np.sum(squares)):
             return longer, found
         return search, numbers
+
+    def _sum_blocks(self, search: "_Search", numbers: Array) -> Array:
+        """Return the sum of the squares (B,) of the errors of each block of time."""
+        squares = search.compute_residual(numbers) ** 2
+        sums = np.bincount(_number_blocks(self._records), weights=squares)
+        return np.asarray(np.maximum(sums, _LEAST_SPREAD**2))
+
+    def _encode_filtered_start(self, search: "_Search") -> Array:
+        """Return the numbers of least squares whose commands pass a filter.
+
+        A slow filter looks like viscous friction, which a search from there does not leave.
+        """
+        start = find_filtered_start(self._records)
+        law = _start_law(self._records, self._estimator, start)
+        starts = {unknown.name: unknown.start for unknown in search.unknowns}
+        starts |= {unknown.name: unknown.start for unknown in self._list_unknowns(1.0, start, law)}
+        starts["command_filter"] = start.command_filter
+        return _encode(search.unknowns, [starts[unknown.name] for unknown in search.unknowns])
 
     def _finish(self, search: "_Search", numbers: Array) -> JointFit:
         jacobian = search.compute_jacobian(numbers)
@@ -329,6 +370,10 @@ class _Search:
     def compute_cost(self, numbers: Array) -> float:
         """Return the mean size of the errors."""
         return float(np.mean(np.abs(self.compute_residual(numbers))))
+
+    def compute_squares(self, numbers: Array) -> float:
+        """Return the sum of the squares of the errors."""
+        return float(np.sum(self.compute_residual(numbers) ** 2))
 
     def compute_jacobian(self, numbers: Array) -> Array:
         """Return the derivatives (N, P) of the residual over the numbers of the search."""
@@ -432,7 +477,7 @@ def _start_law(
     records: Sequence[ServoRecord], law: type[Estimator], start: ServoStart
 ) -> FrictionLaw:
     """Return the law fitted to what the servo's error leaves by least squares."""
-    friction = separate_friction(records, 1.0, start.body, start.armature, start.latency)
+    friction = separate_friction(records, start)
     fitted = law().fit(friction, np.random.default_rng(0))
     # An offset of the torque cannot be told from a bias of the encoder; both count as 0.
     no_offset = {TAU_0.name: 0.0} if TAU_0.name in fitted.values else {}

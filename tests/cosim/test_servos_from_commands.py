@@ -201,3 +201,12 @@ def test_commands_of_another_motion_explain_nothing(tmp_path: Path) -> None:
     log = Log(t=draw.t, q=draw.q, q_cmd=draw.q_cmd[::-1].copy(), robot=draw.robot)
     with pytest.raises(FitError, match="do not explain"):
         hesr.fit(log, law="coulomb_viscous")
+
+
+def test_a_slow_filter_of_commands_is_no_friction(tmp_path: Path) -> None:
+    draw = draw_hobby_servo(tmp_path, SEED, rate=RATE, seconds=20.0, command_filter=0.2)
+    log = Log(t=draw.t, q=draw.q, q_cmd=draw.q_cmd, robot=draw.robot)
+    model = hesr.fit(log, law="coulomb_viscous")
+    assert model.servos[0].servo.command_filter == pytest.approx(0.2, rel=0.01)
+    for name in ("F_c", "sigma_2"):
+        assert model.laws[0].values[name] == pytest.approx(draw.law.values[name], rel=0.05)
