@@ -7,7 +7,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.workflow.answer import Answer, Written
-from cosim.workflow.arguments import expand_per_joint, list_names, list_numbers, require_mapping
+from cosim.workflow.arguments import (
+    expand_per_joint,
+    list_names,
+    list_numbers,
+    require_mapping,
+    to_optional_path,
+)
 from hesr_model.errors import ArgumentError
 from hesr_model.support.files import PathArg, to_path
 from hesr_model.support.progress import Stages, silent
@@ -50,7 +56,8 @@ def new(
     folder : path
         New or empty folder.
     robot : path, optional
-        URDF or MJCF (.xml) of the robot; default: a sample, the UF850.
+        URDF or MJCF (.xml) of the robot; default: a sample, the UF850. With
+        `public` the URDF, if the repository has none.
     joints : str or sequence of str, optional
         Joints that move in the logs; default: the longest chain, without
         fingers; 'motor' or 'axis' of a bench.
@@ -117,14 +124,17 @@ def new(
         {"inertia": inertia, "moment": moment, "phase": phase, "gear_ratio": gear_ratio}
     )
     # The joints of a twin, and those of public logs, are those of its own robot.
-    others = {"robot": robot, "bench": bench, "joints": names or None}
+    others = {"bench": bench, "joints": names or None}
     _require_one_robot({"twin": twin or None, "public": public, **others})
+    if twin:
+        _require_one_robot({"twin": twin, "robot": robot})
     if bench is None:
         _refuse_bench_options(numbers, log, source, gravity=gravity)
     if twin:
         return start_twin(project_folder)
     if public is not None:
-        return start_public(project_folder, to_path(public, "'public'"))
+        clone = to_path(public, "'public'")
+        return start_public(project_folder, clone, to_optional_path("robot", robot))
     if bench is None:
         model_path = sample_model() if robot is None else to_path(robot, "'robot'")
         progress("making sample logs", 0, 1)

@@ -13,12 +13,24 @@ import hesr
 from cosim.study.public_logs import list_sources
 from cosim.study.shipped_studies import find_shipped_studies
 from cosim.study.study import Study
-from hesr_model.errors import ArgumentError, ConfigError
+from hesr_model.errors import ArgumentError, ConfigError, RobotError
 
 SHARED = ROOT.parent / "shared"
 RAW = SHARED / "raw" / "ur10e"
 MEASURED = ("cylinder", "fretting", "ur10")
-[UR10E] = list_sources()
+SOURCES = {source.name: source for source in list_sources()}
+UR10E = SOURCES["ur10e"]
+
+CONVERTED = {
+    "panda": SHARED / "data" / "panda" / "panda_first.csv",
+    "tiago": SHARED / "data" / "tiago_arm" / "tiago_excitation.csv",
+}
+"""Converted logs of sources whose raw files are not here; tests write them back."""
+
+URDFS = {
+    "panda": SHARED / "data" / "panda" / "panda.urdf",
+    "tiago": SHARED / "examples" / "tiago" / "tiago.urdf",
+}
 
 
 @pytest.fixture
@@ -47,6 +59,61 @@ def test_a_clone_becomes_the_logs_of_the_study(clone: Path, tmp_path: Path) -> N
     assert set(study.logs.identification) <= set(UR10E.logs)
 
 
+def write_back(name: str, folder: Path) -> Path:
+    """Write the raw files of a converted log, with further rows, as the repository has them."""
+    if not CONVERTED[name].is_file():
+        pytest.skip("needs the logs in ../shared/data")
+    with CONVERTED[name].open(encoding="utf-8") as file:
+        names = next(file).rstrip("\n").split(",")
+        rows = [line.rstrip("\n").split(",") for line in file]
+    rows.append(rows[-1])
+    start = 0.0 if name == "panda" else 3.25
+    for table in SOURCES[name].tables:
+        path = folder / SOURCES[name].folder / table.file
+        path.parent.mkdir(parents=True, exist_ok=True)
+        cells = [[float(row[names.index(column)]) for column in table.columns] for row in rows]
+        if "t" in table.columns:
+            cells = [[start + row[0], *row[1:]] for row in cells]
+        if table.is_stacked:
+            texts = [f"{number:.6g}" for row in cells for number in row]
+        else:
+            # Another column, and other places than those of the converted log.
+            header = ["other", *reversed(table.header)]
+            texts = [",".join(header)]
+            texts += [",".join(map(repr, [0.0, *reversed(row)])) for row in cells]
+        path.write_text("\n".join(texts) + "\n", encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize("name", CONVERTED)
+def test_raw_files_of_other_layouts_become_the_log(name: str, tmp_path: Path) -> None:
+    clone = write_back(name, tmp_path / "clone")
+    project = hesr.new(tmp_path / "new", URDFS[name], public=clone)
+    (log,) = SOURCES[name].logs
+    assert (tmp_path / "new" / log).read_bytes() == CONVERTED[name].read_bytes()
+    assert project.joints == hesr.Robot(tmp_path / "new" / "robot.toml").joints
+    study = Study.read(tmp_path / "new" / "study.toml")
+    assert {part.log for part in study.logs.parts.values()} == {log}
+
+
+@pytest.mark.parametrize("name", CONVERTED)
+def test_a_source_without_a_model_needs_that_of_its_robot(name: str, tmp_path: Path) -> None:
+    clone = write_back(name, tmp_path / "clone")
+    with pytest.raises(ConfigError) as caught:
+        hesr.new(tmp_path / "new", public=clone)
+    assert (caught.value.code, caught.value.key) == ("public.model", "robot")
+    other = next(URDFS[other] for other in URDFS if other != name)
+    with pytest.raises(RobotError, match="has no joint"):
+        hesr.new(tmp_path / "new", other, public=clone)
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_source_with_a_model_takes_no_other(clone: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as caught:
+        hesr.new(tmp_path / "new", URDFS["tiago"], public=clone)
+    assert (caught.value.code, caught.value.key) == ("public.model", "robot")
+
+
 @pytest.mark.parametrize("change", ["row", "text", "bytes", "missing"])
 def test_another_commit_is_refused(clone: Path, tmp_path: Path, change: str) -> None:
     path = clone / UR10E.folder / UR10E.logs["id_fourier_20s_5harm.csv"]["file"]
@@ -69,9 +136,7 @@ def test_other_folders_are_no_clone(tmp_path: Path) -> None:
     assert caught.value.code == "public.unknown"
 
 
-@pytest.mark.parametrize(
-    "other", [{"twin": True}, {"bench": "rotary"}, {"robot": "arm.urdf"}, {"joints": "a"}]
-)
+@pytest.mark.parametrize("other", [{"twin": True}, {"bench": "rotary"}, {"joints": "a"}])
 def test_a_clone_excludes_other_robots(tmp_path: Path, other: dict[str, Any]) -> None:
     with pytest.raises(ArgumentError, match="public"):
         hesr.new(tmp_path / "ur10e", public=tmp_path, **other)
@@ -94,26 +159,32 @@ def test_options_of_a_bench_are_refused_next_to_other_robots(
     assert not (tmp_path / "new").exists()
 
 
-def test_the_page_has_the_recorded_sources() -> None:
+@pytest.mark.parametrize("name", SOURCES)
+def test_the_page_has_the_recorded_sources(name: str) -> None:
     page = (ROOT / "docs" / "data.md").read_text(encoding="utf-8")
-    assert UR10E.commit in page
-    for name, entry in UR10E.logs.items():
-        first_row, end_row = entry["rows"]
-        assert (
-            f"| `{name}` | `{entry['file']}` | {first_row} to {end_row - 1} | `{entry['sha256']}` |"
-            in page
-        )
+    source = SOURCES[name]
+    assert source.commit in page
+    assert source.folder in page
+    for log, entry in source.logs.items():
+        assert entry["sha256"] in page
+        if "file" in entry:
+            first_row, end_row = entry["rows"]
+            line = f"`{log}` | `{entry['file']}` | {first_row} to {end_row - 1} |"
+            assert f"| {line} `{entry['sha256']}` |" in page
 
 
-def test_the_study_of_a_clone_is_that_of_the_readme() -> None:
+@pytest.mark.parametrize("name", SOURCES)
+def test_the_study_of_a_clone_is_that_of_the_readme(name: str) -> None:
     def without_folders(path: Path) -> str:
-        text = re.sub(r"^#.*\n", "", path.read_text(encoding="utf-8"), count=1)
-        return text.replace("../../../shared/data/ur10e/", "").replace("ur10e.toml", "robot.toml")
+        text = re.sub(r"^(#.*\n)+", "", path.read_text(encoding="utf-8"))
+        text = re.sub(r'model = ".*"', "", text)
+        text = text.replace(f"{name}.toml", "robot.toml")
+        return re.sub(r"\.\./\.\./\.\./shared/data/\w+/", "", text)
 
-    shipped = ROOT / "models" / "public" / "ur10e"
+    shipped = ROOT / "models" / "public" / name
     real = ROOT / "tests" / "real"
-    assert without_folders(shipped / "study.toml") == without_folders(real / "ur10e_study.toml")
-    assert without_folders(shipped / "robot.toml") == without_folders(real / "ur10e.toml")
+    assert without_folders(shipped / "study.toml") == without_folders(real / f"{name}_study.toml")
+    assert without_folders(shipped / "robot.toml") == without_folders(real / f"{name}.toml")
 
 
 @pytest.mark.parametrize("name", MEASURED)
