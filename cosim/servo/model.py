@@ -16,7 +16,7 @@ from cosim.servo.start import delay_commands
 from hesr_model.errors import FitError
 from hesr_model.fitting.estimator import estimator
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.model import MIXED, FrictionModel
 from hesr_model.friction.records import predict_record
 from hesr_model.friction.servo import FittedServo, JointServo
 from hesr_model.friction.trained_range import TrainedRange
@@ -87,33 +87,60 @@ def fit_from_commands(
     joint_count = len(jobs)
     with parallel.results_of(jobs, workers, names=robot.joints) as answers:
         fits = _collect(answers, lambda done: progress(done, 2 * joint_count))
-    latency, latency_error = find_common_latency(fits)
+    return finish_model(
+        records,
+        robot,
+        fits,
+        provenance=provenance or {},
+        workers=workers,
+        report=lambda done: progress(joint_count + done, 2 * joint_count),
+    )
+
+
+def finish_model(
+    records: Sequence[Sequence[ServoRecord]],
+    robot: Robot,
+    fits: Sequence[JointFit],
+    *,
+    provenance: Mapping[str, Any],
+    workers: int | None,
+    report: Callable[[int], None],
+    latency: tuple[float, float] | None = None,
+) -> FrictionModel:
+    """Fit all joints again with their common latency, and return the model in N.m.
+
+    The `latency` with its error [s] is by default that of the fits; `report` is called with the
+    number of finished joints.
+    """
+    common_latency, latency_error = latency or find_common_latency(fits)
+    kind = robot.description.servo.kind
     jobs = [
-        partial(_refit_joint, joint_records, law_name, kind, fit, latency)
+        partial(_refit_joint, joint_records, fit.law.name, kind, fit, common_latency)
         for joint_records, fit in zip(records, fits, strict=True)
     ]
     with parallel.results_of(jobs, workers, names=robot.joints) as answers:
-        fits = _collect(answers, lambda done: progress(joint_count + done, 2 * joint_count))
+        refits = _collect(answers, report)
     results = [
         _finish_joint(joint_records, fit, latency_error, robot.description, j)
-        for j, (joint_records, fit) in enumerate(zip(records, fits, strict=True))
+        for j, (joint_records, fit) in enumerate(zip(records, refits, strict=True))
     ]
     sentences = [
         f"{joint}: {sentence}"
         for joint, result in zip(robot.joints, results, strict=True)
         for sentence in describe_servo(result)
     ]
-    period = float(np.median(np.concatenate([np.diff(log.t) for log in logs])))
+    periods = np.concatenate([np.diff(record.t) for record in records[0]])
+    law_names = {result.law.name for result in results}
     return FrictionModel(
-        law=law_name,
+        law=law_names.pop() if len(law_names) == 1 else MIXED,
         robot=robot.description.name,
         joints=robot.joints,
         laws=tuple(result.law for result in results),
         sliding=tuple(robot.slides),
-        sample_time=round(period, 9),
+        sample_time=round(float(np.median(periods)), 9),
         trained=tuple(result.trained for result in results),
         servos=tuple(result.servo for result in results),
-        provenance={**(provenance or {}), "from_commands": sentences},
+        provenance={**provenance, "from_commands": sentences},
     )
 
 

@@ -223,19 +223,29 @@ def _fit_from_commands(
     progress: Stages,
 ) -> FrictionModel:
     """Fit a law and the servos to logs without torque; refuse what needs torques."""
+    from cosim.servo.choice import choose_from_commands
     from cosim.servo.model import fit_from_commands
     from hesr_model.friction.model import FrictionModel
+    from hesr_model.inference.choice import CHOOSE
 
     if isinstance(law, FrictionModel) or law is None or options or additions:
         raise ArgumentError(
             "the logs have no torque; give the name of a 'law' alone, without 'options', 'add' or "
             "'prior'."
         )
+    origin = _provenance(checked, rigid_body, 0, {})
+    if law == CHOOSE:
+        return choose_from_commands(
+            checked.logs,
+            checked.robot,
+            provenance=origin,
+            progress=partial(progress, "judging laws by motion from commands"),
+        )
     return fit_from_commands(
         checked.logs,
         checked.robot,
         str(law),
-        provenance=_provenance(checked, rigid_body, 0, {}),
+        provenance=origin,
         progress=partial(progress, f"fitting {law} and servos to commands"),
     )
 

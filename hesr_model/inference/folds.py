@@ -56,7 +56,7 @@ def split_into_folds(motions: Sequence[Motion], count: int = FOLD_COUNT) -> list
     count : number of folds.
     """
     names = [motion.name for motion in motions]
-    fold_of_rows = _number_rows(names, [motion.t for motion in motions], count)
+    fold_of_rows = number_rows(names, [motion.t for motion in motions], count)
     folds = []
     for number in range(count):
         judged = tuple(fold_numbers == number for fold_numbers in fold_of_rows)
@@ -79,7 +79,7 @@ def mask_rows(
     times : (N,) [s] of each log.
     number, count : of the fold, from 0, and of all folds.
     """
-    judged = [fold_numbers == number for fold_numbers in _number_rows(names, times, count)]
+    judged = [fold_numbers == number for fold_numbers in number_rows(names, times, count)]
     trained = []
     for t, is_judged in zip(times, judged, strict=True):
         judged_times = t[is_judged]
@@ -92,7 +92,7 @@ def mask_rows(
     return judged, trained
 
 
-def _number_rows(names: Sequence[str], times: Sequence[Array], count: int) -> list[Array]:
+def number_rows(names: Sequence[str], times: Sequence[Array], count: int) -> list[Array]:
     """Return the number of the fold of each row, by log."""
     distinct_names = list(dict.fromkeys(names))
     if len(distinct_names) < count:

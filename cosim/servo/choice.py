@@ -1,0 +1,180 @@
+"""Choice of the law of each joint from commands, by motion that no fit has seen.
+
+Whole logs run from their commands; the rows of a fold do not count in the fit that is judged on
+them. What is compared is the error of positions.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from cosim.servo.fit import JointFit, JointProblem
+from cosim.servo.model import find_common_latency, finish_model
+from cosim.servo.record import ServoRecord, read_servo_records
+from cosim.servo.start import delay_commands
+from cosim.study.verdict import describe_choice
+from hesr_model.audit.certificate import has_proof
+from hesr_model.errors import FitError
+from hesr_model.fitting.estimator import estimator
+from hesr_model.friction.model import FrictionModel
+from hesr_model.inference.choice import CHOOSE, choose_laws
+from hesr_model.inference.folds import FOLD_COUNT, number_rows
+from hesr_model.inference.left_out import LeftOutErrors
+from hesr_model.laws.baselines import Constant, CoulombViscous, NoFriction
+from hesr_model.logs.robot_log import Log
+from hesr_model.robots.robot import Robot
+from hesr_model.robots.servo_description import ServoKind
+from hesr_model.support import parallel
+from hesr_model.support.arrays import Array, Integers
+from hesr_model.support.progress import Progress, silent
+
+LAWS = (NoFriction.name, CoulombViscous.name, "stribeck", "bam_m3", "bam_m4")
+"""Laws without memory, from few coefficients to many; an offset is not told from an encoder's."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Judgement:
+    """A fit to all rows, and the position errors (N,) on left-out ones."""
+
+    fit: JointFit
+    errors: Array
+
+
+def choose_from_commands(
+    logs: Sequence[Log],
+    robot: Robot,
+    *,
+    provenance: Mapping[str, Any] | None = None,
+    workers: int | None = None,
+    progress: Progress = silent,
+) -> FrictionModel:
+    """Fit laws and servos to commands, and return the law of each joint that predicts best.
+
+    Parameters
+    ----------
+    logs : logs with commanded positions.
+    robot : robot of the logs.
+    provenance : JSON data on the origin of the model.
+    workers : processes, by default one per core.
+    progress : called with fits done and in total.
+
+    Raises
+    ------
+    FitError
+        If no law can be fitted to a joint, or commands do not explain its motion.
+    """
+    records = read_servo_records(logs, robot, robot.nominal_parameters)
+    names = [record.log for record in records[0]]
+    fold_of_row = [
+        numbers.astype(int)
+        for numbers in number_rows(names, [record.t for record in records[0]], FOLD_COUNT)
+    ]
+    judged = _judge_all(records, robot, np.concatenate(fold_of_row), workers, progress)
+    latency = find_common_latency([joint[CoulombViscous.name].fit for joint in judged])
+    laws = [law for law in LAWS if all(law in joint for joint in judged)]
+    choice = choose_laws(
+        _collect_errors(records, judged, laws, fold_of_row, latency[0]),
+        is_proven=lambda law, j: has_proof(judged[j][_to_fitted_law(law)].fit.law),
+        can_join=lambda *_: True,  # none has memory that needs an integration of its own
+    )
+    chosen = [
+        joint[_to_fitted_law(law)].fit for law, joint in zip(choice.laws, judged, strict=True)
+    ]
+    model = finish_model(
+        records,
+        robot,
+        chosen,
+        provenance=provenance or {},
+        workers=workers,
+        report=lambda *_: None,
+        latency=latency,
+    )
+    return replace(model, provenance={**model.provenance, CHOOSE: list(describe_choice(choice))})
+
+
+def _to_fitted_law(law: str) -> str:
+    """Return the law that was fitted for a chosen one: no friction in place of an offset."""
+    return NoFriction.name if law == Constant.name else law
+
+
+def _judge_all(
+    records: Sequence[Sequence[ServoRecord]],
+    robot: Robot,
+    fold_of_row: Integers,
+    workers: int | None,
+    progress: Progress,
+) -> list[dict[str, _Judgement]]:
+    """Return the judgements of all laws that can be fitted, by joint."""
+    kind = robot.description.servo.kind
+    pairs = [(j, law) for j in range(robot.n) for law in LAWS]
+    jobs = [partial(_judge, records[j], law, kind, fold_of_row) for j, law in pairs]
+    judged: list[dict[str, _Judgement]] = [{} for _ in records]
+    labels = [f"{robot.joints[j]}, {law}" for j, law in pairs]
+    failures: dict[int, FitError] = {}
+    with parallel.results_of(jobs, workers, names=labels) as answers:
+        for done, ((j, law), answer) in enumerate(zip(pairs, answers, strict=True), start=1):
+            progress(done, len(pairs))
+            if isinstance(answer, FitError):
+                failures.setdefault(j, answer)
+            else:
+                judged[j][law] = answer
+    for j, joint in enumerate(judged):
+        if CoulombViscous.name not in joint:
+            raise failures[j]
+    return judged
+
+
+def _judge(
+    records: Sequence[ServoRecord], law: str, kind: ServoKind, fold_of_row: Integers
+) -> _Judgement | FitError:
+    try:
+        with threadpool_limits(1), JointProblem(records, estimator(law), kind) as problem:
+            fit = problem.fit()
+            return _Judgement(fit=fit, errors=problem.predict_left_out(fit, fold_of_row))
+    except FitError as error:
+        return error
+
+
+def _collect_errors(
+    records: Sequence[Sequence[ServoRecord]],
+    judged: Sequence[Mapping[str, _Judgement]],
+    laws: Sequence[str],
+    fold_of_row: Sequence[Integers],
+    latency: float,
+) -> LeftOutErrors:
+    """Return the position errors of all laws by log; the servo's own error is to be explained."""
+    first = records[0]
+    ends = np.cumsum([len(record.t) for record in first])[:-1]
+    errors = {}
+    for law in laws:
+        columns = np.column_stack([joint[law].errors for joint in judged])
+        errors[law] = tuple(np.split(columns, ends))
+    errors[Constant.name] = errors[NoFriction.name]
+
+    def collect(name: str) -> tuple[Array, ...]:
+        by_log = zip(*records, strict=True)
+        return tuple(
+            np.column_stack([getattr(record, name) for record in of_joints]) for of_joints in by_log
+        )
+
+    servo_errors = tuple(
+        np.column_stack([delay_commands(record, latency) - record.q for record in of_joints])
+        for of_joints in zip(*records, strict=True)
+    )
+    return LeftOutErrors(
+        joints=tuple(joint_records[0].joint for joint_records in records),
+        t=tuple(record.t for record in first),
+        log_names=tuple(record.log for record in first),
+        fold_of_row=tuple(fold_of_row),
+        errors=errors,
+        joint_errors=errors,
+        tau=servo_errors,
+        dq=collect("dq"),
+        tau_load=collect("tau_load"),
+        counts=np.ones((FOLD_COUNT, len(records)), dtype=bool),
+        failed={},
+    )
