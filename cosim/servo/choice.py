@@ -21,7 +21,7 @@ from hesr_model.audit.certificate import has_proof
 from hesr_model.errors import FitError
 from hesr_model.fitting.estimator import estimator
 from hesr_model.friction.model import FrictionModel
-from hesr_model.inference.choice import CHOOSE, choose_laws
+from hesr_model.inference.choice import CHOOSE, choose_laws, is_better
 from hesr_model.inference.folds import FOLD_COUNT, number_rows
 from hesr_model.inference.left_out import LeftOutErrors
 from hesr_model.laws.baselines import Constant, CoulombViscous, NoFriction
@@ -76,8 +76,9 @@ def choose_from_commands(
     judged = _judge_all(records, robot, np.concatenate(fold_of_row), workers, progress)
     latency = find_common_latency([joint[CoulombViscous.name].fit for joint in judged])
     laws = [law for law in LAWS if all(law in joint for joint in judged)]
+    errors = _collect_errors(records, judged, laws, fold_of_row, latency[0])
     choice = choose_laws(
-        _collect_errors(records, judged, laws, fold_of_row, latency[0]),
+        _keep_simple_laws(errors),
         is_proven=lambda law, j: has_proof(judged[j][_to_fitted_law(law)].fit.law),
         can_join=lambda *_: True,  # none has memory that needs an integration of its own
     )
@@ -94,6 +95,25 @@ def choose_from_commands(
         latency=latency,
     )
     return replace(model, provenance={**model.provenance, CHOOSE: list(describe_choice(choice))})
+
+
+def _keep_simple_laws(errors: LeftOutErrors) -> LeftOutErrors:
+    """Return the errors of the baselines, and of each joint's simplest law that none beats.
+
+    Laws contain each other: the last ones predict as well as the true one, with coefficients that
+    the motion does not determine.
+    """
+    kept = {NoFriction.name, Constant.name, CoulombViscous.name}
+    for j in range(len(errors.joints)):
+        unbeaten = (
+            law
+            for law in LAWS
+            if law in errors.laws
+            and not any(is_better(errors, other, law, j) for other in errors.laws)
+        )
+        kept.add(next(unbeaten))
+    simple = {law: values for law, values in errors.errors.items() if law in kept}
+    return replace(errors, errors=simple, joint_errors=simple)
 
 
 def _to_fitted_law(law: str) -> str:

@@ -30,7 +30,7 @@ from hesr_model.support.progress import Progress, silent
 
 MOST_UNEXPLAINED = 0.5  # error over that of the ideal servo from which commands do not explain
 _TORQUE = "N.m"
-_LEAST_LATENCY_ERROR = 1e-5  # [s], of a weight
+_LEAST_LATENCY_ERROR = 5e-3  # [s] of a joint among several
 _MANY_STEPS = 3.0  # of the encoder: an error that it does not explain
 _NORMAL_QUANTILE = 1.96  # of 95 %; many blocks know the latency
 
@@ -183,11 +183,17 @@ def find_common_latency(fits: Sequence[JointFit]) -> tuple[float, float]:
     """Return the latency of all joints and its standard error [s], by the errors of each.
 
     One bus carries all commands, and a joint that hardly moves does not know how late they act.
+    Where servos and laws are incomplete, the errors of single joints are too small: none counts
+    as sharper than `_LEAST_LATENCY_ERROR`, and the scatter between joints is part of the error.
     """
     pairs = [compute_interval(fit).find("latency") for fit in fits]
+    if len(pairs) == 1:
+        return pairs[0]
     latencies = np.array([latency for latency, _ in pairs])
-    weights = np.array([1.0 / max(error, _LEAST_LATENCY_ERROR) ** 2 for _, error in pairs])
-    return float(np.average(latencies, weights=weights)), float(np.sum(weights) ** -0.5)
+    weights = np.array([1.0 / np.hypot(error, _LEAST_LATENCY_ERROR) ** 2 for _, error in pairs])
+    mean = float(np.average(latencies, weights=weights))
+    scatter = float(np.average((latencies - mean) ** 2, weights=weights)) / (len(pairs) - 1)
+    return mean, float(np.sqrt(1.0 / np.sum(weights) + scatter))
 
 
 def _finish_joint(

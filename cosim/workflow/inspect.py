@@ -78,6 +78,8 @@ class Inspection(Answer):
             f"open: {format_settings({key: choice.value})}: {choice.reason}"
             for key, choice in self.proposal.undecided.items()
         ]
+        if any(not log.has_torque for log in self.proposal.logs):
+            lines.append("No torque: friction is found from commands and positions.")
         if not self.proposal.first_findings:
             lines.append("Nothing wrong or unusual was found.")
         lines += [f"proposed: {key}: {text}" for key, text in self.proposal.reasons.items()]

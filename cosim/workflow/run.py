@@ -299,6 +299,7 @@ def run(
     >>> result.outcome.fmus["lugre"].name
     'lugre.fmu'
     """
+    from cosim.servo.study import lacks_torque
     from cosim.study.results import read_findings
     from cosim.study.run import run_study
     from cosim.study.study import Study
@@ -324,6 +325,16 @@ def run(
     if measured_studies:
         raise ArgumentError("'measured' is for a study of claims; run each study by itself.")
     results_folder = to_path(output or Path("results") / Study.read(study_path).name, "'output'")
+    if lacks_torque(study_path):
+        return _run_from_commands(
+            study_path,
+            results_folder,
+            platforms=DEFAULT_PLATFORMS if platforms is None else platforms,
+            quick=quick,
+            seeds=seeds,
+            accepted=accepted,
+            progress=progress,
+        )
     if seeds is not None:
         return _run_draws(study_path, seeds, results_folder, quick=quick, progress=progress)
     try:
@@ -341,6 +352,36 @@ def run(
             raise
         raise Interrupted(f"{reusable}: repeat the command to continue", interrupt) from interrupt
     return RunResult(folder=results_folder, outcome=outcome, findings=read_findings(results_folder))
+
+
+def _run_from_commands(
+    study: Path,
+    folder: Path,
+    *,
+    platforms: Sequence[str],
+    quick: bool,
+    seeds: int | None,
+    accepted: Sequence[str],
+    progress: Stages,
+) -> Answer:
+    """Run a study whose logs have no torque."""
+    from cosim.servo.study import run_from_commands
+    from cosim.workflow.command_run import CommandRun, write_command_report
+
+    if seeds is not None:
+        raise ArgumentError(
+            "'seeds' draws the noise of a digital twin; measured logs have their own."
+        )
+    outcome = run_from_commands(
+        study,
+        folder,
+        platforms=platforms,
+        quick=quick,
+        accepted=accepted,
+        write_report=partial(write_command_report, shown_folder=folder),
+        progress=progress,
+    )
+    return CommandRun(folder=folder, outcome=outcome)
 
 
 def _find_study(study: PathArg | None) -> Path:

@@ -1,0 +1,209 @@
+"""Run of a study whose logs have no torque: law and servo of each joint, FMUs, and errors."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from cosim.servo.choice import choose_from_commands
+from cosim.servo.engine import FINE_SUBSTEP, JointEngine
+from cosim.servo.model import fit_from_commands
+from cosim.servo.motion import predict_motion
+from cosim.servo.record import read_servo_records
+from cosim.servo.start import delay_commands
+from cosim.study.run import checkpoint_folder
+from cosim.study.steps import Job
+from cosim.study.study import Study
+from fmu_src.export.toolchain import HOST, targets
+from fmu_src.friction.friction_fmu import export_fmu
+from fmu_src.plant.plant_fmu import export_plant
+from fmu_src.plant.servo_plant import find_servo_plant
+from hesr_model.findings import Finding, log_findings
+from hesr_model.friction.model import FrictionModel
+from hesr_model.health.examine import check_logs
+from hesr_model.laws.baselines import CoulombViscous
+from hesr_model.logs.robot_log import Log
+from hesr_model.robots.robot import Robot
+from hesr_model.support.arrays import Array, rms
+from hesr_model.support.files import newest, provenance
+from hesr_model.support.progress import Stages, silent
+from hesr_model.support.result_folder import folder_written_whole
+
+PLANT = "Plant.fmu"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionErrors:
+    """Position errors (n,) [rad; m] of one log from its commands.
+
+    `alone` is of each joint along the measured motion of the others, `ideal` that of a servo that
+    follows its commands exactly. `coupled` is of the whole plant; empty without a scale.
+    """
+
+    log: str
+    is_test: bool
+    ideal: tuple[float, ...]
+    alone: tuple[float, ...]
+    coupled: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommandOutcome:
+    """Results of a study from commands: model, its FMUs by name, errors by log, and findings."""
+
+    model: FrictionModel
+    fmus: Mapping[str, Path]
+    errors: Sequence[MotionErrors]
+    findings: Sequence[Finding]
+
+    @property
+    def has_scale(self) -> bool:
+        """Whether the size of the torques of all joints is known."""
+        return all(servo.scale != "none" for servo in self.model.servos)
+
+
+def lacks_torque(path: Path) -> bool:
+    """Return whether the first training log of a study has no torque, and no twin makes it."""
+    study = Study.read(path)
+    if study.twin is not None:
+        return False
+    job = _make_job(study, path, silent)
+    name = study.logs.training[0]
+    [file] = [file for log, file in job.log_files(path.parent).items() if log == name]
+    return not job.read(name, file).has_torque
+
+
+def _make_job(study: Study, path: Path, progress: Stages, platforms: Sequence[str] = HOST) -> Job:
+    return Job(
+        study=study,
+        path=path,
+        progress=progress,
+        checkpoints=checkpoint_folder(path),
+        platforms=tuple(target.folder for target in targets((*HOST, *platforms))),
+    )
+
+
+def run_from_commands(
+    path: Path,
+    output: Path,
+    *,
+    platforms: Sequence[str] = HOST,
+    quick: bool = False,
+    accepted: Sequence[str] = (),
+    write_report: Callable[[CommandOutcome, Path], None],
+    progress: Stages = silent,
+) -> CommandOutcome:
+    """Fit laws and servos of a study's logs, and write model, FMUs and report into a folder.
+
+    Parameters
+    ----------
+    path : study.
+    output : folder of the results, written whole or not at all.
+    platforms : of the FMUs, with that of this machine.
+    quick : whether Coulomb and viscous friction is the only law.
+    accepted : names of checks whose errors only warn.
+    write_report : writes the report of an outcome into the folder.
+    progress : called with stage, steps done and steps in total.
+    """
+    study = Study.read(path)
+    job = _make_job(study, path, progress, platforms)
+    robot = Robot(job.robot)
+    files = job.log_files(path.parent)
+    logs = {name: job.read(name, file) for name, file in files.items()}
+    findings = log_findings(check_logs(list(logs.values()), robot, accepted))
+    training = [logs[name] for name in study.logs.training]
+    source = provenance(files=[*files.values(), study.robot], seed=study.seed)
+    source["created"] = newest(list(files.values()))
+    if quick:
+        model = fit_from_commands(
+            training,
+            robot,
+            CoulombViscous.name,
+            provenance=source,
+            progress=partial(progress, "fitting servos to commands"),
+        )
+    else:
+        model = choose_from_commands(
+            training,
+            robot,
+            provenance=source,
+            progress=partial(progress, "judging laws by motion from commands"),
+        )
+    errors = [
+        _compute_errors(model, robot, log, is_test=name not in study.logs.training)
+        for name, log in logs.items()
+    ]
+    outcome = CommandOutcome(model=model, fmus={}, errors=errors, findings=findings)
+    with folder_written_whole(output) as folder:
+        (folder / "laws").mkdir()
+        model.write(folder / "laws" / f"{model.law}.json")
+        names = _write_fmus(outcome, robot, folder / "fmus", job.platforms, progress)
+        outcome = CommandOutcome(
+            model=model,
+            fmus={name: output / "fmus" / name for name in names},
+            errors=errors,
+            findings=findings,
+        )
+        write_report(outcome, folder)
+    return outcome
+
+
+def _write_fmus(
+    outcome: CommandOutcome,
+    robot: Robot,
+    folder: Path,
+    platforms: Sequence[str],
+    progress: Stages,
+) -> list[str]:
+    """Write the FMUs of friction and of the plant with its servos; none without a scale."""
+    if not outcome.has_scale:
+        return []
+    model = outcome.model
+    folder.mkdir()
+    name = f"{model.law}.fmu"
+    export_fmu(model, folder / name, platforms=platforms, progress=partial(progress, name))
+    plant_body, servo = find_servo_plant(model, robot)
+    export_plant(
+        model,
+        folder / PLANT,
+        plant_body=plant_body,
+        servo=servo,
+        platforms=platforms,
+        progress=partial(progress, PLANT),
+    )
+    return [name, PLANT]
+
+
+def _compute_errors(model: FrictionModel, robot: Robot, log: Log, *, is_test: bool) -> MotionErrors:
+    """Return the errors of the positions that the commands of a log cause."""
+    has_scale = all(servo.scale != "none" for servo in model.servos)
+    ideal = []
+    alone = []
+    for j, records in enumerate(read_servo_records([log], robot, robot.nominal_parameters)):
+        servo = model.servos[j].servo
+        with JointEngine(model.laws[j], sliding=robot.slides[j]) as engine:
+            runs = [
+                engine.run(record, servo, model.laws[j].values, substep=FINE_SUBSTEP)
+                for record in records
+            ]
+        pairs = list(zip(runs, records, strict=True))
+        alone.append(_join_rms([run - record.q for run, record in pairs]))
+        ideal.append(
+            _join_rms([delay_commands(record, servo.latency) - record.q for record in records])
+        )
+    coupled: tuple[float, ...] = ()
+    if has_scale:
+        parts = log.parts()
+        differences = np.concatenate(
+            [predict_motion(model, robot, part) - part.q for part in parts]
+        )
+        coupled = tuple(map(float, rms(differences)))
+    return MotionErrors(
+        log=log.name, is_test=is_test, ideal=tuple(ideal), alone=tuple(alone), coupled=coupled
+    )
+
+
+def _join_rms(errors: Sequence[Array]) -> float:
+    return float(rms(np.concatenate(errors)))
