@@ -51,7 +51,7 @@ _WORTH = 0.02  # and its share of the squares
 
 
 @dataclass(frozen=True, kw_only=True)
-class Unknown:
+class FitUnknown:
     """An unknown of a fit: of the servo, or a coefficient of the law.
 
     Attributes
@@ -104,7 +104,7 @@ class JointFit:
 
     servo: JointServo
     law: FrictionLaw
-    unknowns: tuple[Unknown, ...]
+    unknowns: tuple[FitUnknown, ...]
     values: Array
     jacobian: Array
     residual: Array
@@ -220,7 +220,7 @@ class JointProblem:
         return np.asarray(np.clip(np.nan_to_num(errors, nan=largest), -largest, largest))
 
     def apply(
-        self, unknowns: Sequence[Unknown], numbers: Array
+        self, unknowns: Sequence[FitUnknown], numbers: Array
     ) -> tuple[JointServo, dict[str, float]]:
         """Return servo and coefficients at a point of the search."""
         values = dict(self.law.values)
@@ -235,14 +235,14 @@ class JointProblem:
 
     def _list_unknowns(
         self, factor: float, start: ServoStart, law: FrictionLaw
-    ) -> Iterator[Unknown]:
+    ) -> Iterator[FitUnknown]:
         """Yield the unknowns with starts whose torques over the gain are multiplied."""
         inertia = max(float(np.mean(record.inertia)) for record in self._records)
         if _feels_gravity(self._records):
             yield _positive("body_factor", factor * max(start.body, 0.1 * start.armature / inertia))
         least_armature = _LEAST_SHARE * start.body * inertia
         yield _positive("armature", factor * max(start.armature, least_armature, _TINY))
-        yield Unknown(
+        yield FitUnknown(
             name="latency",
             of_law=False,
             start=max(start.latency, 1e-3),
@@ -273,7 +273,7 @@ class JointProblem:
                 return search, numbers
             search, numbers = best
 
-    def _list_candidates(self, search: "_Search", numbers: Array) -> Iterator[Unknown]:
+    def _list_candidates(self, search: "_Search", numbers: Array) -> Iterator[FitUnknown]:
         """Yield what else a servo may do, if the errors are larger than the encoder's steps."""
         errors = search.compute_residual(numbers)
         if float(np.sqrt(np.mean(errors**2))) <= find_encoder_step(self._records):
@@ -293,7 +293,7 @@ class JointProblem:
         yield from (candidate for candidate in candidates if candidate.name not in known)
 
     def _try_candidate(
-        self, search: "_Search", numbers: Array, candidate: Unknown
+        self, search: "_Search", numbers: Array, candidate: FitUnknown
     ) -> tuple["_Search", Array]:
         """Return the search with one more unknown if its errors are clearly smaller."""
         longer = _Search(self, (*search.unknowns, candidate))
@@ -356,7 +356,7 @@ class _Search:
     """Unknowns of a problem, and the rows that count."""
 
     def __init__(
-        self, problem: JointProblem, unknowns: Sequence[Unknown], is_used: Mask | None = None
+        self, problem: JointProblem, unknowns: Sequence[FitUnknown], is_used: Mask | None = None
     ) -> None:
         self._problem = problem
         self.unknowns = tuple(unknowns)
@@ -421,9 +421,9 @@ def _select_seconds(records: Sequence[ServoRecord], seconds: float) -> Sequence[
     return selected
 
 
-def _positive(name: str, start: float) -> Unknown:
+def _positive(name: str, start: float) -> FitUnknown:
     """Return an unknown of the servo that changes by factors."""
-    return Unknown(
+    return FitUnknown(
         name=name,
         of_law=False,
         start=start,
@@ -434,9 +434,9 @@ def _positive(name: str, start: float) -> Unknown:
     )
 
 
-def _size(name: str, start: float) -> Unknown:
+def _size(name: str, start: float) -> FitUnknown:
     """Return an unknown of the servo that may be 0."""
-    return Unknown(
+    return FitUnknown(
         name=name,
         of_law=False,
         start=start,
@@ -453,11 +453,11 @@ def find_encoder_step(records: Sequence[ServoRecord]) -> float:
     return float(np.min(steps[steps > _ROUND_OFF], initial=np.inf))
 
 
-def _encode_starts(unknowns: Sequence[Unknown]) -> Array:
+def _encode_starts(unknowns: Sequence[FitUnknown]) -> Array:
     return _encode(unknowns, [unknown.start for unknown in unknowns])
 
 
-def _encode(unknowns: Sequence[Unknown], values: Iterable[float]) -> Array:
+def _encode(unknowns: Sequence[FitUnknown], values: Iterable[float]) -> Array:
     return np.array(
         [unknown.encode(float(value)) for unknown, value in zip(unknowns, values, strict=True)]
     )
@@ -486,7 +486,7 @@ def _start_law(
 
 def _list_coefficients(
     law: type[Estimator], started: FrictionLaw, factor: float
-) -> Iterator[Unknown]:
+) -> Iterator[FitUnknown]:
     """Yield the coefficients of a law: torques by size, searched numbers by factors."""
     space = _find_space(law, started)
     bounds = dict(space.bounds)
@@ -495,7 +495,7 @@ def _list_coefficients(
     for name, value in started.values.items():
         if name in bounds:
             lower, upper = bounds[name]
-            yield Unknown(
+            yield FitUnknown(
                 name=name,
                 of_law=True,
                 start=float(np.clip(value, 1.01 * lower, 0.99 * upper)),
@@ -506,7 +506,7 @@ def _list_coefficients(
             )
         elif name in space.linear and name != TAU_0.name:
             scale = factor * max(abs(value), _LEAST_SHARE * largest, _TINY)
-            yield Unknown(
+            yield FitUnknown(
                 name=name,
                 of_law=True,
                 start=scale,

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 from cosim.servo.fit import JointFit, JointProblem, find_encoder_step
 from cosim.servo.interval import Interval, compute_interval
 from cosim.servo.record import ServoRecord, read_servo_records
-from cosim.servo.scale import Scale, find_scale
+from cosim.servo.scale import TorqueScale, find_scale
 from cosim.servo.start import delay_commands
 from hesr_model.errors import FitError
 from hesr_model.fitting.estimator import estimator
@@ -36,7 +36,7 @@ _NORMAL_QUANTILE = 1.96  # of 95 %; many blocks know the latency
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class JointResult:
+class ServoResult:
     """Law and servo of one joint from commands; torques are in N.m where the scale is known.
 
     `encoder_step` is the smallest step of the measured positions [rad; m].
@@ -44,7 +44,7 @@ class JointResult:
 
     law: FrictionLaw
     servo: FittedServo
-    scale: Scale
+    scale: TorqueScale
     encoder_step: float
     trained: TrainedRange
 
@@ -202,7 +202,7 @@ def _finish_joint(
     latency_error: float,
     description: RobotDescription,
     j: int,
-) -> JointResult:
+) -> ServoResult:
     """Scale the fit of joint j; raise FitError if the commands do not explain its motion."""
     interval = compute_interval(fit)
     scale = find_scale(interval, description, j)
@@ -226,10 +226,10 @@ def _scale_result(
     records: Sequence[ServoRecord],
     fit: JointFit,
     interval: Interval,
-    scale: Scale,
+    scale: TorqueScale,
     ideal_rmse: float,
     latency_error: float,
-) -> JointResult:
+) -> ServoResult:
     """Return law and servo with torques in N.m if their scale is known."""
     gain = scale.gain
     scale_error = scale.error or 0.0
@@ -271,7 +271,7 @@ def _scale_result(
         ideal_rmse=ideal_rmse,
     )
     friction = [_to_friction_record(record, servo, law) for record in records]
-    return JointResult(
+    return ServoResult(
         law=law,
         servo=fitted,
         scale=scale,
@@ -321,7 +321,7 @@ _SHOWN = (
 )
 
 
-def describe_servo(result: JointResult) -> list[str]:
+def describe_servo(result: ServoResult) -> list[str]:
     """Return the sentences about the servo of a joint: its values, and what fixes their size."""
     fitted = result.servo
     has_scale = fitted.scale != "none"

@@ -17,7 +17,7 @@ _CONTRADICTION = 3.0  # standard errors between a stated gain and gravity
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scale:
+class TorqueScale:
     """Size of a joint's torques.
 
     Attributes
@@ -37,7 +37,7 @@ class Scale:
     contradiction: float | None = None
 
 
-def find_scale(interval: Interval, description: RobotDescription, j: int) -> Scale:
+def find_scale(interval: Interval, description: RobotDescription, j: int) -> TorqueScale:
     """Return the size of the torques of joint j, from its fit over the gain."""
     servo = description.servo
     body_error = description.scale.body_error
@@ -52,11 +52,15 @@ def find_scale(interval: Interval, description: RobotDescription, j: int) -> Sca
             ratio = gain * gravity
             if abs(np.log(ratio)) > _CONTRADICTION * spread:
                 contradiction = ratio
-        return Scale(source="gain", gain=gain, error=servo.gain_error, contradiction=contradiction)
+        return TorqueScale(
+            source="gain", gain=gain, error=servo.gain_error, contradiction=contradiction
+        )
     limit, _ = interval.find("torque_limit")
     if servo.torque_limit is not None and limit > 0.0:
         stated = servo.expand_per_joint("torque_limit", len(description.joints))[j]
-        return Scale(source="stall torque", gain=stated / limit, error=servo.gain_error)
+        return TorqueScale(source="stall torque", gain=stated / limit, error=servo.gain_error)
     if has_gravity:
-        return Scale(source="gravity", gain=1.0 / gravity, error=body_error, follows_gravity=True)
-    return Scale(source="none")
+        return TorqueScale(
+            source="gravity", gain=1.0 / gravity, error=body_error, follows_gravity=True
+        )
+    return TorqueScale(source="none")

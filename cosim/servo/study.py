@@ -13,8 +13,7 @@ from cosim.servo.model import fit_from_commands
 from cosim.servo.motion import predict_motion
 from cosim.servo.record import read_servo_records
 from cosim.servo.start import delay_commands
-from cosim.study.run import checkpoint_folder
-from cosim.study.steps import Job
+from cosim.study.steps import Job, checkpoint_folder
 from cosim.study.study import Study
 from fmu_src.export.toolchain import HOST, targets
 from fmu_src.friction.friction_fmu import export_fmu

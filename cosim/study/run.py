@@ -16,7 +16,7 @@ from cosim.study.replicates import Replicates, write_replicates
 from cosim.study.results import TRUTHS, ScoredRun, record_files, save_run, write_findings
 from cosim.study.scores import Errors, LogRecords, select_records
 from cosim.study.shipped_studies import DEFAULT, find_shipped_studies
-from cosim.study.steps import Job, map_models
+from cosim.study.steps import Job, checkpoint_folder, map_models
 from cosim.study.study import Study
 from cosim.study.verdict import Verdict, judge_run, write_verdict
 from fmu_src.export.toolchain import DEFAULT_PLATFORMS, HOST, get_ready, targets
@@ -351,11 +351,6 @@ def write_mixed_model(
     checks = combine_results(MIXED, properties, run_verdict.laws)
     export_fmu(model, folder / run_verdict.fmu, properties=checks, audit=audit, **export_options)
     return {MIXED: model}
-
-
-def checkpoint_folder(output: Path) -> Path:
-    """Return the folder of a run's checkpoints."""
-    return output.parent / f".{output.name}-unfinished"
 
 
 def _command(study: Path, platforms: Sequence[str], *, quick: bool) -> str:

@@ -83,6 +83,11 @@ class _ReplayCase(NamedTuple):
     measured_start: bool  # initial state estimated from measured torque
 
 
+def checkpoint_folder(output: Path) -> Path:
+    """Return the folder of a run's checkpoints."""
+    return output.parent / f".{output.name}-unfinished"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Job:
     """Steps of a study, which is checked against the registry of laws."""

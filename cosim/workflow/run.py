@@ -413,7 +413,7 @@ def _run_draws(
 
 def _describe_checkpoints(results_folder: Path) -> str:
     """Return what an interrupted run leaves for the next one; empty if nothing."""
-    from cosim.study.run import checkpoint_folder
+    from cosim.study.steps import checkpoint_folder
 
     checkpoints = checkpoint_folder(results_folder)
     finished = []

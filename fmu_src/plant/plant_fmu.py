@@ -34,7 +34,7 @@ from fmu_src.friction.friction_fmu import describe_fmu, describe_origin
 from fmu_src.friction.validity import require_exportable
 from fmu_src.pages.friction_page import drive_html, model_title
 from fmu_src.plant.dynamics import change_header, dynamics_header, tool_header
-from fmu_src.plant.servo import PositionServo, Servo, ServoGains, find_places
+from fmu_src.plant.servo import PlantServo, PositionServo, ServoGains, find_places
 from fmu_src.run.reference_results import Stimuli, waves
 from hesr_model.errors import ExportError
 from hesr_model.friction.inputs import TAU_LOAD, TORQUE
@@ -161,13 +161,13 @@ _START = ("q_start", "dq_start")
 _INTEGRAL_OF = {"dq": "q", "ddq": "dq"}
 
 
-def _inputs(servo: Servo | None) -> dict[str, tuple[str, str]]:
+def _inputs(servo: PlantServo | None) -> dict[str, tuple[str, str]]:
     if servo is None:
         return {"tau": ("N.m", "torque of the motor")}
     return {"tau": ("N.m", "torque of the motor in addition to the servo's"), **servo.inputs()}
 
 
-def _memory(laws: Sequence[Joint], links: int, servo: Servo | None) -> int:
+def _memory(laws: Sequence[Joint], links: int, servo: PlantServo | None) -> int:
     """Return the number of doubles in the own memory of plant.c."""
     joints, (rows, lanes) = len(laws), prepared_size(laws)
     plant = 1 + 3 * joints + 10 * links + rows * lanes
@@ -222,7 +222,7 @@ def inertial_parameters(plant_body: PlantBody) -> Iterator[Variable]:
 
 
 def _interface(
-    model: FrictionModel, plant_body: PlantBody, servo: Servo | None, *, tool: bool
+    model: FrictionModel, plant_body: PlantBody, servo: PlantServo | None, *, tool: bool
 ) -> Interface:
     laws = build_joints(model, names={TORQUE: "tau_friction"})
     numbers = range(1, len(laws) + 1)
@@ -383,7 +383,7 @@ def content(
     model: FrictionModel,
     plant_body: PlantBody,
     *,
-    servo: Servo | None = None,
+    servo: PlantServo | None = None,
     tool: bool = False,
     bare: bool = False,
 ) -> Content:

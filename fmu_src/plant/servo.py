@@ -178,7 +178,7 @@ class PositionServo:
         yield _latency(self.latency)
 
 
-Servo = ServoGains | PositionServo
+PlantServo = ServoGains | PositionServo
 _VECTORS = ("dq_cmd", "tau_motor", "torque_limit", "gravity_share")
 _PLACES = {"KV": "servo_kv[1]", "KI": "servo_ki[1]", "LATENCY": "latency"}
 _PLACES |= {name.upper(): f"{name}[1]" for name in _VECTORS}
@@ -186,7 +186,7 @@ _PLACES_OF_POSITION = {"Q_CMD": "q_cmd[1]", "KP": "servo_kp[1]"}
 _PLACES_OF_DIRECT = {"COMMAND_FILTER": "command_filter[1]", "SPEED_LIMIT": "speed_limit[1]"}
 
 
-def find_places(servo: Servo | None) -> tuple[dict[str, str], dict[str, int]]:
+def find_places(servo: PlantServo | None) -> tuple[dict[str, str], dict[str, int]]:
     """Return the first variable of each kind, and which kinds there are, for servo.h."""
     kinds = {
         "SERVO": int(servo is not None),
