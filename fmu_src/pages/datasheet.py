@@ -158,7 +158,7 @@ def verdict(audit: Audit, *, is_trained: bool, slides: bool = False) -> str:
     speed = unit_of_joint("rad/s", is_prismatic=slides)
     cycle = audit.generating
     if cycle is None or audit.generated < _MAX_ROUNDING_ENERGY:
-        sentence = "None of the tested closed cycles generates energy."
+        sentence = "None of the tested sines generates energy over a closed cycle."
     else:
         sentence = (
             f"It is not passive: over a closed cycle of {figure(cycle.amplitude, 2)} {speed} at "

@@ -162,6 +162,7 @@ def test_the_page_of_table_1_is_complete(table1: FrictionModel) -> None:
     certificate = page.text.split("Certificate of passivity")[1]
     assert "the coefficients above; changing a coefficient voids it." in certificate
     assert "tested on 816 sequences " in certificate
+    assert "two and three tones at once" in page.text
     assert "245 ms" in page.text
     assert "q[i] , tau_load[i] , which may remain unconnected" in page.text
 

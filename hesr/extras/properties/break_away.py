@@ -28,6 +28,8 @@ def dissipation(
 ) -> list[PropertyResult]:
     """Drive spring-held joints back and forth and sum up the work of their friction.
 
+    The torque is one tone of 1 Hz; the motion has more, since friction is not linear. Velocities of
+    one to three tones are tried by the search of the certificate (`hesr_model.audit.tones`).
     The load of `is_loaded` (n,) laws moves between 0 and `peaks` (n,) [N.m].
     """
     angle = 2.0 * np.pi / _ROWS_PER_CYCLE * np.arange(1, _ROWS_PER_CYCLE * _CYCLE_COUNT + 1)
@@ -64,7 +66,9 @@ def dissipation(
 
 
 def _judge_dissipation(generated: float, share: float, q: Array, tau: Array) -> PropertyResult:
-    sentence = f"Under a torque of {share:g} levels it generates {generated:.3g} J per cycle."
+    sentence = (
+        f"Under a sine of torque of {share:g} levels it generates {generated:.3g} J per cycle."
+    )
     return judge(
         ("most energy given in a cycle", max(0.0, generated), "J"),
         ("amplitude of the torque, of the level", share, "1"),
