@@ -100,6 +100,7 @@ class JointFit:
     jacobian : (N, P) of the position errors over the values.
     residual : (N,) position errors [rad; m], simulated less measured.
     blocks : (N,) number of the block of time of each row.
+    latency_slope : (N,) derivative of the position errors over a latency that was not fitted.
     """
 
     servo: JointServo
@@ -109,6 +110,7 @@ class JointFit:
     jacobian: Array
     residual: Array
     blocks: Integers
+    latency_slope: Array | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -195,7 +197,11 @@ class JointProblem:
         search = _Search(self, unknowns)
         numbers = search.minimise(_encode(unknowns, values), _POLISH_RUNS)
         self._substep = FINE_SUBSTEP
-        return self._finish(search, search.minimise(numbers, _FINE_RUNS))
+        refitted = self._finish(search, search.minimise(numbers, _FINE_RUNS))
+        later = replace(refitted.servo, latency=latency + _LATENCY_DIFFERENCE)
+        shifted = self.compute_errors(later, refitted.law.values)
+        slope = (shifted - refitted.residual) / _LATENCY_DIFFERENCE
+        return replace(refitted, latency_slope=slope)
 
     def predict_left_out(self, fit: JointFit, fold_of_row: Integers) -> Array:
         """Return the position errors (N,) [rad; m] of each fold by a fit to all others.

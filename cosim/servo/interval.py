@@ -12,6 +12,9 @@ from scipy.special import stdtrit
 from cosim.servo.fit import JointFit
 from hesr_model.support.arrays import Array
 
+_LEAST_REST = 0.1  # share of the information on a value that counts as held by other blocks
+_ROUND_OFF = 1e-15
+NORMAL_QUANTILE = 1.96  # of 95 %, of errors whose size is stated or well known
 _UPPER_QUANTILE = 0.975  # upper end of a 95 % interval
 
 
@@ -46,25 +49,54 @@ class Interval:
             k, g = self.names.index(name), self.names.index("body_factor")
             variance += (gravity_error / gravity) ** 2
             variance -= 2.0 * self.covariance[k, g] / (value * gravity)
-        return float(self.quantile * np.sqrt(max(variance, 0.0) + error**2))
+        own_width = self.quantile * np.sqrt(max(variance, 0.0))
+        return float(np.hypot(own_width, NORMAL_QUANTILE * error))
 
 
-def compute_interval(fit: JointFit) -> Interval:
-    """Return the values of a fit with their covariance."""
-    jacobian = fit.jacobian
-    scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
-    scaled = jacobian / scale
-    gradients = scaled * fit.residual[:, None]
-    blocks = np.unique(fit.blocks, return_inverse=True)[1]
-    sums = np.zeros((int(blocks.max()) + 1, len(scale)))
-    np.add.at(sums, blocks, gradients)
-    inverse = np.linalg.pinv(scaled.T @ scaled)
-    block_count = len(sums)
-    degrees = max(block_count - len(scale), 1)
-    covariance = inverse @ (sums.T @ sums) @ inverse * (block_count / degrees)
+def compute_interval(fit: JointFit, latency_error: float = 0.0) -> Interval:
+    """Return the values of a fit with their covariance.
+
+    The errors of a block are those of a fit without it, so that a block of great weight does not
+    hide its own error (CR3 of Cameron and Miller, 2015, "A practitioner's guide to cluster-robust
+    inference", J. Human Resources 50(2)).
+
+    Parameters
+    ----------
+    fit : the fit.
+    latency_error : standard error [s] of a latency that the fit did not search.
+    """
+    scale = np.maximum(np.linalg.norm(fit.jacobian, axis=0), 1e-300)
+    scaled = fit.jacobian / scale
+    root = _find_root_of_inverse(scaled.T @ scaled)
+    whitened = scaled @ root
+    numbers = np.unique(fit.blocks)
+    changes = np.array([_find_change_of_block(whitened, fit, number) for number in numbers])
+    changes = changes @ root.T
+    covariance = changes.T @ changes
+    if fit.latency_slope is not None:
+        late_change = latency_error * (root @ (whitened.T @ fit.latency_slope))
+        covariance += np.outer(late_change, late_change)
+    degrees = max(len(numbers) - len(scale), 1)
     return Interval(
         names=fit.names,
         values=fit.values,
         covariance=covariance / np.outer(scale, scale),
         quantile=float(stdtrit(degrees, _UPPER_QUANTILE)),
     )
+
+
+def _find_root_of_inverse(information: Array) -> Array:
+    """Return a root (P, P) whose product with its transpose is the pseudo-inverse."""
+    sizes, directions = np.linalg.eigh(information)
+    is_known = sizes > _ROUND_OFF * sizes[-1]
+    safe_sizes = np.where(is_known, sizes, 1.0)
+    return np.asarray(directions * np.where(is_known, safe_sizes**-0.5, 0.0))
+
+
+def _find_change_of_block(whitened: Array, fit: JointFit, number: int) -> Array:
+    """Return how much a block changes the whitened values (P,): the fit with it and without."""
+    rows = fit.blocks == number
+    own = whitened[rows]
+    shares, directions = np.linalg.eigh(own.T @ own)
+    gradient = directions.T @ (own.T @ fit.residual[rows])
+    return np.asarray(directions @ (gradient / np.maximum(1.0 - shares, _LEAST_REST)))

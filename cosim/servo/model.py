@@ -9,7 +9,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cosim.servo.fit import JointFit, JointProblem, find_encoder_step
-from cosim.servo.interval import Interval, compute_interval
+from cosim.servo.interval import NORMAL_QUANTILE, Interval, compute_interval
 from cosim.servo.record import ServoRecord, read_servo_records
 from cosim.servo.scale import TorqueScale, find_scale
 from cosim.servo.start import delay_commands
@@ -32,7 +32,6 @@ MOST_UNEXPLAINED = 0.5  # error over that of the ideal servo from which commands
 _TORQUE = "N.m"
 _LEAST_LATENCY_ERROR = 5e-3  # [s] of a joint among several
 _MANY_STEPS = 3.0  # of the encoder: an error that it does not explain
-_NORMAL_QUANTILE = 1.96  # of 95 %; many blocks know the latency
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -183,17 +182,22 @@ def find_common_latency(fits: Sequence[JointFit]) -> tuple[float, float]:
     """Return the latency of all joints and its standard error [s], by the errors of each.
 
     One bus carries all commands, and a joint that hardly moves does not know how late they act.
-    Where servos and laws are incomplete, the errors of single joints are too small: none counts
-    as sharper than `_LEAST_LATENCY_ERROR`, and the scatter between joints is part of the error.
+    Where servos and laws are incomplete, the errors of single joints are too small: none weighs
+    more than with `_LEAST_LATENCY_ERROR`, and the scatter between joints is part of the error.
     """
     pairs = [compute_interval(fit).find("latency") for fit in fits]
     if len(pairs) == 1:
         return pairs[0]
     latencies = np.array([latency for latency, _ in pairs])
-    weights = np.array([1.0 / np.hypot(error, _LEAST_LATENCY_ERROR) ** 2 for _, error in pairs])
+    errors = np.array([error for _, error in pairs])
+    weights = 1.0 / np.hypot(errors, _LEAST_LATENCY_ERROR) ** 2
     mean = float(np.average(latencies, weights=weights))
     scatter = float(np.average((latencies - mean) ** 2, weights=weights)) / (len(pairs) - 1)
-    return mean, float(np.sqrt(1.0 / np.sum(weights) + scatter))
+    is_known = np.isfinite(errors)
+    variance = (
+        float(np.sum((weights[is_known] * errors[is_known]) ** 2)) / float(np.sum(weights)) ** 2
+    )
+    return mean, float(np.sqrt(variance + scatter))
 
 
 def _finish_joint(
@@ -204,7 +208,7 @@ def _finish_joint(
     j: int,
 ) -> ServoResult:
     """Scale the fit of joint j; raise FitError if the commands do not explain its motion."""
-    interval = compute_interval(fit)
+    interval = compute_interval(fit, latency_error)
     scale = find_scale(interval, description, j)
     ideal_rmse = _compute_ideal_rmse(records, fit.servo)
     if fit.rmse > MOST_UNEXPLAINED * ideal_rmse:
@@ -247,8 +251,9 @@ def _scale_result(
         name: value * gain ** _power_of_torque(name, fit.law)
         for name, value in fit.law.values.items()
     }
+    # A report shows 1.96 standard errors of a coefficient, which are to be its interval.
     standard_errors = {
-        name: abs(values[name]) * relative_widths[name] / interval.quantile
+        name: abs(values[name]) * relative_widths[name] / NORMAL_QUANTILE
         for name in values
         if name in relative_widths and np.isfinite(relative_widths[name])
     }
@@ -258,10 +263,10 @@ def _scale_result(
         for name, width in relative_widths.items()
         if name not in values and np.isfinite(width)
     }
-    intervals["latency"] = _NORMAL_QUANTILE * latency_error
+    intervals["latency"] = NORMAL_QUANTILE * latency_error
     if scale.source != "none":  # kp over itself is 1
         gravity_width = relative_widths.get("body_factor", 0.0)
-        intervals["kp"] = gain * (gravity_width if follows else interval.quantile * scale_error)
+        intervals["kp"] = gain * (gravity_width if follows else NORMAL_QUANTILE * scale_error)
     fitted = FittedServo(
         servo=servo,
         scale=scale.source,
