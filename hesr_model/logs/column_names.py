@@ -39,7 +39,7 @@ _QUANTITY_WORDS: Mapping[str, frozenset[str]] = {
         " weg hub lage drehwinkel posicion posicao posizione angulo angolo deplacement"
     ),
     "tau": _split_words(
-        "tau torque torques trq effort efforts moment moments drehmoment motormoment tq nm force"
+        "tau torque torques trq eff effort efforts moment moments drehmoment motormoment tq nm force"
         " forces kraft couple couples coppia forza fuerza torsor momento"
     ),
     "current": _split_words(

@@ -31,6 +31,7 @@ HEADERS = {
     "current": "time=t;position=q;velocity=dq;q_current=amperes;torque=tau",
     "voltage": "time=t;v_q=volts;pos=q;vel=dq;torque=tau",
     "degrees and minutes": "Zeit [ms]=ms;Winkel [°]=deg;Drehzahl [1/min]=rpm;Drehmoment [Nm]=tau",
+    "names of joints": "stamp=t;motor_pos=q;motor_vel=dq;motor_eff=tau",
     "speed alone": "time [s]=t;motor speed [rpm]=rpm;motor torque [Nm]=tau",
 }
 
