@@ -369,7 +369,9 @@ def _remove_torn_row(rows: dict[int, str], dialect: _Dialect, column_count: int)
         return
     cells = next(csv.reader([rows[number]], delimiter=dialect.delimiter), [])
     if 0 < len(cells) < column_count and number > dialect.first_line:
-        _log.warning("%s: its last row, %d, is cut off and was left out.", dialect.path, number)
+        # A proposal is tried in a folder of its own; the name is that of the user's file.
+        name = dialect.path.name
+        _log.warning("%s: its last row, %d, is cut off and was left out.", name, number)
         del rows[number]
 
 

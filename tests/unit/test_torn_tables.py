@@ -46,7 +46,9 @@ def test_a_torn_last_row_is_left_out(
     with caplog.at_level(logging.WARNING):
         values = read(tmp_path / "a.csv", content)
     np.testing.assert_array_equal(values, ROWS[:-1])
-    assert "last row, 11, is cut off" in caplog.text
+    assert [record.getMessage() for record in caplog.records] == [
+        "a.csv: its last row, 11, is cut off and was left out."
+    ]
 
 
 @pytest.mark.parametrize(
