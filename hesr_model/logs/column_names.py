@@ -39,8 +39,8 @@ _QUANTITY_WORDS: Mapping[str, frozenset[str]] = {
         " weg hub lage drehwinkel posicion posicao posizione angulo angolo deplacement"
     ),
     "tau": _split_words(
-        "tau torque torques trq eff effort efforts moment moments drehmoment motormoment tq nm force"
-        " forces kraft couple couples coppia forza fuerza torsor momento"
+        "tau torque torques trq eff effort efforts moment moments drehmoment motormoment tq nm"
+        " force forces kraft couple couples coppia forza fuerza torsor momento"
     ),
     "current": _split_words(
         "i im cur curr current currents amp amps ampere amperes iq strom motorstrom courant"
