@@ -13,7 +13,7 @@ from cosim.loop.traces import TRACES as PATHS
 from cosim.report.tables.table import joints
 from cosim.study.position_errors import SIMULATION, PositionErrors
 from cosim.study.replicates import Replicates, read_replicates
-from cosim.study.results import RUN, TRACES, TRUTHS, SavedLog, SavedRun, read_torques
+from cosim.study.results import COMMAND_RUN, RUN, TRACES, TRUTHS, SavedLog, SavedRun, read_torques
 from cosim.study.scores import MEASURED_START, ORACLE, Comparison, Errors
 from cosim.study.study import LEFT_OUT
 from cosim.study.verdict import Verdict, read_verdict
@@ -185,6 +185,8 @@ class Results:
         """Read a folder written by `hesr run`, or raise ArtifactError or LogError."""
         if not (folder / RUN).is_file():
             reason = f"'{RUN}' is missing in it" if folder.is_dir() else "the folder does not exist"
+            if (folder / COMMAND_RUN).is_file():
+                reason = "its run was from commands, whose report is complete"
             reason = describe_leftover(folder) or reason
             raise ArtifactError(f"{folder}: no results of 'hesr run'; {reason}.")
         run = SavedRun.read(folder / RUN)

@@ -47,6 +47,16 @@ class MotionErrors:
     alone: tuple[float, ...]
     coupled: tuple[float, ...] = ()
 
+    @property
+    def sentence(self) -> str:
+        """The errors of all joints, in words."""
+        kind = "test" if self.is_test else "training"
+        return (
+            f"Position error on the {kind} log {self.log}: "
+            f"{_format_mrad(self.coupled or self.alone)} mrad from commands alone, "
+            f"{_format_mrad(self.ideal)} of ideal servos."
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class CommandOutcome:
@@ -131,7 +141,7 @@ def run_from_commands(
             progress=partial(progress, "judging laws by motion from commands"),
         )
     errors = [
-        _compute_errors(model, robot, log, is_test=name not in study.logs.training)
+        compute_motion_errors(model, robot, log, is_test=name not in study.logs.training)
         for name, log in logs.items()
     ]
     outcome = CommandOutcome(model=model, fmus={}, errors=errors, findings=findings)
@@ -175,7 +185,9 @@ def _write_fmus(
     return [name, PLANT]
 
 
-def _compute_errors(model: FrictionModel, robot: Robot, log: Log, *, is_test: bool) -> MotionErrors:
+def compute_motion_errors(
+    model: FrictionModel, robot: Robot, log: Log, *, is_test: bool
+) -> MotionErrors:
     """Return the errors of the positions that the commands of a log cause."""
     has_scale = all(servo.scale != "none" for servo in model.servos)
     ideal = []
@@ -202,6 +214,10 @@ def _compute_errors(model: FrictionModel, robot: Robot, log: Log, *, is_test: bo
     return MotionErrors(
         log=log.name, is_test=is_test, ideal=tuple(ideal), alone=tuple(alone), coupled=coupled
     )
+
+
+def _format_mrad(values: Sequence[float]) -> str:
+    return ", ".join(f"{1e3 * value:.3g}" for value in values)
 
 
 def _join_rms(errors: Sequence[Array]) -> float:

@@ -29,6 +29,7 @@ from hesr_model.support.files import sha256
 from hesr_model.support.typed_files import from_json, read_json, to_json, write_json
 
 RUN = "run.json"
+COMMAND_RUN = "command_run.json"  # of logs without torque
 TRACES = "traces"
 TRUTHS = "truths.json"
 HEALTH = "health.json"

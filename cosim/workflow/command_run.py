@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cosim.study.results import COMMAND_RUN
 from cosim.workflow.answer import Answer, finding_lines, shorten_lines
 from hesr_model.support.typed_files import to_json, write_json
 
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from hesr_model.findings import Finding
 
 REPORT = "report.html"
-RUN = "command_run.json"
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -59,16 +59,10 @@ class CommandRun(Answer):
         lines.append(f"Report: {self.folder / REPORT}")
         return shorten_lines(lines)
 
-    def _error_lines(self) -> Iterator[str]:
-        """Yield the errors on tests, or else on the training logs."""
+    def _error_lines(self) -> list[str]:
+        """Return the errors on tests, or else on the training logs."""
         tests = [errors for errors in self.outcome.errors if errors.is_test]
-        kind = "test" if tests else "training"
-        for errors in tests or self.outcome.errors:
-            values = errors.coupled or errors.alone
-            yield (
-                f"Position error on the {kind} log {errors.log}: {_format_mrad(values)} mrad from "
-                f"commands alone, {_format_mrad(errors.ideal)} of ideal servos."
-            )
+        return [errors.sentence for errors in tests or self.outcome.errors]
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return servos, laws and errors."""
@@ -118,14 +112,10 @@ class CommandRun(Answer):
         }
 
 
-def _format_mrad(values: Sequence[float]) -> str:
-    return ", ".join(f"{1e3 * value:.3g}" for value in values)
-
-
 def write_command_report(outcome: CommandOutcome, folder: Path, shown_folder: Path) -> None:
     """Write page and data of an outcome into a folder, which will be `shown_folder`."""
     from cosim.report.result_page import write_answer
 
     answer = CommandRun(folder=shown_folder, outcome=outcome)
     write_answer(answer, folder / REPORT)
-    write_json(folder / RUN, answer.to_json())
+    write_json(folder / COMMAND_RUN, answer.to_json())

@@ -31,11 +31,13 @@ from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
     from cosim.report.tables.table import ResultTable
+    from cosim.servo.study import MotionErrors
     from cosim.study.position_errors import PositionErrors
     from cosim.study.replicates import Replicates
     from cosim.study.scores import Comparison
     from cosim.workflow.arguments import (
         BodyArg,
+        CheckedLogs,
         Logs,
         LogSource,
         NamedLaws,
@@ -47,6 +49,7 @@ if TYPE_CHECKING:
     from fmu_src.pages.datasheet import ModelAudit
     from hesr_model.audit.properties import Properties, Subject
     from hesr_model.findings import Finding
+    from hesr_model.friction.model import FrictionModel
 
 KINDS = ("prediction", "passivity")  # kinds of the core; others are plug-ins
 
@@ -64,6 +67,7 @@ class LawReport(Answer):
     positions: PositionErrors | None = None
     replicates: Replicates | None = None
     records: Records = ()
+    motions: Mapping[str, Sequence[MotionErrors]] = field(default_factory=dict)
     audits: Mapping[str, ModelAudit] = field(default_factory=dict)
     properties: Mapping[str, Properties] = field(default_factory=dict)
     others: Mapping[str, Answer] = field(default_factory=dict)  # of kinds from plug-ins
@@ -73,6 +77,8 @@ class LawReport(Answer):
     def summary(self) -> str:
         """Return the best law, then passivity and failed checks of each law."""
         lines = _scores_lines(self.scores) if self.scores else []
+        for name, motions in self.motions.items():
+            lines += [f"{name}: {errors.sentence}" for errors in motions]
         for law in self.laws:
             audit = self.audits.get(law.name)
             if audit:
@@ -147,6 +153,10 @@ class LawReport(Answer):
 
         return {
             "prediction": self.scores and to_json(self.scores),
+            "motion": {
+                name: [to_json(errors) for errors in motions]
+                for name, motions in self.motions.items()
+            },
             "replicates": self.replicates and to_json(self.replicates),
             "simulation": self.positions and to_json(self.positions),
             "passivity": {
@@ -302,12 +312,19 @@ def _add_scores(
 
     if not sources:
         raise ArgumentError("'kind' prediction needs 'on', a log.")
+    models = {law.name: law.model for law in report.laws if law.model and not law.fmu}
+    has_servos = all(model.servos for model in models.values()) and len(models) == len(report.laws)
+    if rigid_body is None and not has_servos:
+        raise ArgumentError("'kind' prediction needs 'rigid_body', the result of 'hesr identify'.")
+    checked = read_checked_logs(
+        sources, robot, accepted, progress, in_pieces=True, from_commands=has_servos
+    )
+    if checked.lacks_torque:
+        return _add_motion_errors(report, checked, models)
     if rigid_body is None:
         raise ArgumentError("'kind' prediction needs 'rigid_body', the result of 'hesr identify'.")
-    checked = read_checked_logs(sources, robot, accepted, progress, in_pieces=True)
     body = find_body(rigid_body, checked.logs, checked.robot)
     records = transpose_records(checked.compute_records(body))
-    models = {law.name: law.model for law in report.laws if law.model and not law.fmu}
     findings = list(checked.findings)
     for model in models.values():
         findings += log_findings(check_owner(model, checked.robot))
@@ -331,6 +348,21 @@ def _add_scores(
         records=records,
         findings=findings,
     )
+
+
+def _add_motion_errors(
+    report: LawReport, checked: CheckedLogs, models: Mapping[str, FrictionModel]
+) -> LawReport:
+    """Add the errors of the motion that laws with their servos make of the commands of logs."""
+    from cosim.servo.study import compute_motion_errors
+
+    motions = {
+        name: [
+            compute_motion_errors(model, checked.robot, log, is_test=True) for log in checked.logs
+        ]
+        for name, model in models.items()
+    }
+    return replace(report, motions=motions, findings=checked.findings)
 
 
 def _add_certificates(report: LawReport, *, alone: bool) -> LawReport:

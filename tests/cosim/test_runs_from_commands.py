@@ -49,6 +49,9 @@ def test_a_run_writes_law_fmus_and_report(tmp_path: Path, cli: Hesr) -> None:
     assert model.servos[0].servo.kp == pytest.approx(draw.servo.kp[0], rel=0.02)
     for fmu in (results / "fmus").iterdir():
         assert check(fmu).problems == ()
+    again = cli("report", results)
+    assert again.code == 2
+    assert "from commands" in again.err
     data = json.loads((results / "command_run.json").read_text())
     [test] = [errors for errors in data["result"]["errors"] if errors["is_test"]]
     plant = results / "fmus" / "Plant.fmu"
@@ -56,6 +59,22 @@ def test_a_run_writes_law_fmus_and_report(tmp_path: Path, cli: Hesr) -> None:
     reached = run_along(plant, rows[:, 0] - rows[0, 0], rows[:, 1], {"q_start[1]": rows[0, 2]})
     error = np.sqrt(np.mean((reached - rows[:, 2]) ** 2))
     assert test["coupled"][0] == pytest.approx(error, rel=1e-9)
+
+
+def test_a_law_is_tested_on_the_motion_of_commands(tmp_path: Path, cli: Hesr) -> None:
+    draw = write_study(tmp_path)
+    law = tmp_path / "law.json"
+    robot = tmp_path / "robot.toml"
+    hesr.fit(tmp_path / "train.csv", robot=robot, law="coulomb_viscous", output=law)
+    said = cli("test", law, "--on", tmp_path / "test.csv", "--robot", robot)
+    assert said.code == 0, said.err
+    assert "from commands alone" in said.out
+    assert "passivity" in said.out
+    report = hesr.test(law, on=tmp_path / "log.csv", robot=robot)
+    [errors] = report.motions["coulomb_viscous"]
+    assert errors.coupled == pytest.approx(errors.alone, rel=0.2)
+    assert errors.coupled[0] < 0.1 * errors.ideal[0]
+    assert errors.coupled[0] < 4.0 * np.max(np.abs(draw.q - draw.exact))
 
 
 def test_without_a_scale_a_run_has_no_fmu(tmp_path: Path, cli: Hesr) -> None:

@@ -65,7 +65,6 @@ def test_unseen_motions_follow_from_commands(
     by_motion = [float(np.sqrt(np.mean(error**2))) for error in errors]
     total = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
     median = float(np.median(by_motion))
-    print(f"{joint}: {1e3 * total:.2f} mrad, median motion {1e3 * median:.2f} mrad")
     most, most_of_median = BOUNDS[joint]
     assert total < most
     if most_of_median is not None:
