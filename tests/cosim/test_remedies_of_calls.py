@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from cosim.loop.loops import assemble
 from cosim.loop.run import write_loops
 from cosim.loop.traces import TRACES, copy_loops, read_traces
 from cosim.report.results import Results
+from cosim.study.public_logs import _find_model
 from cosim.study.study import Study
 from fmu_src.arm.plant import Plant
 from fmu_src.plant.plant_fmu import PlantBody
@@ -386,6 +388,28 @@ def commands_instead_of_torque(place: Place) -> Iterator[str]:
     yield refuse(lambda: getattr(hesr, command)(log, robot=robot, law="coulomb_viscous"))
 
 
+def find_public_model(place: Place, model: str, **options: Path | None) -> str:
+    """Look for the model of a repository, whose files are those of a clone."""
+    source: Any = SimpleNamespace(repository="owner/logs", model=model)
+    robot = options.get("robot")
+    return refuse(lambda: _find_model(source, place.folder, robot))
+
+
+def model_of_public_logs(place: Place) -> Iterator[str]:
+    given = {"robot": place.bench / "bench.urdf"}
+    yield (sentence := find_public_model(place, "arm.urdf", **given))
+    (option,) = read_quoted(sentence, "leave")
+    del given[option]
+    yield find_public_model(place, "arm.urdf", **given)
+
+
+def missing_model_of_public_logs(place: Place) -> Iterator[str]:
+    yield (sentence := find_public_model(place, ""))
+    (option,) = read_quoted(sentence, "as")
+    assert f"--{option} " in sentence
+    yield find_public_model(place, "", **{option: place.bench / "bench.urdf"})
+
+
 def law_alone(place: Place) -> Iterator[str]:
     draw_hobby_servo(place.folder, 3, rate=100.0).write_log(place.folder / "log.csv")
     robot = place.folder / "robot.toml"
@@ -400,19 +424,21 @@ def law_alone(place: Place) -> Iterator[str]:
 
 
 EXECUTED: dict[str, Callable[[Place], Iterator[str]]] = {
-    "the logs do not name their robot; give": name_of_robot,
+    "do not name their robot; give": name_of_robot,
     "give 'robot' to read this log": robot_of_a_path,
-    "the log does not name its robot; give": robots_of_logs,
-    "give 'rigid_body', the result of 'hesr identify', which": body_of_a_law,
+    "does not name its robot; give": robots_of_logs,
+    "of 'hesr identify', which separates": body_of_a_law,
     "takes a log, or the arrays": arrays_of_a_prediction,
-    "has no band; fit the model to logs": band_of_a_law,
+    "no band; fit the model": band_of_a_law,
     "coefficients have no covariance": covariance_of_a_prior,
     "body with body = ": body_of_a_plant,
     'set body = "physical" in': body_of_a_study,
+    "model of its own": model_of_public_logs,
+    "on the command line": missing_model_of_public_logs,
     "which this command needs; without it": commands_instead_of_torque,
-    "have no torque; give the name of": law_alone,
+    "torque; give the name of": law_alone,
     "has no 'unit'; give it": unit_of_a_coefficient,
-    "nor a state; add it to 'coefficients'": coefficient_of_a_law,
+    "state; add it to 'coefficients'": coefficient_of_a_law,
     "use the 'symbol' of a coefficient": symbol_of_a_law,
     "add it to 'bounds' to search": space_of_a_law,
     "nothing is varied: give": inputs_of_a_sweep,
@@ -425,14 +451,14 @@ EXECUTED: dict[str, Callable[[Place], Iterator[str]]] = {
     "give a result of 'hesr run'": results_to_view,
     "no such file; rerun 'hesr run'": arm_to_view,
     "for a study with [tracking]": traces_to_view,
-    "for a study with [twin] and [tracking]": loop_to_copy,
+    "study with [twin] and [tracking]": loop_to_copy,
     "alternative plants need the key": plant_of_a_study,
     "'tracking' needs the keys": tracking_of_a_study,
     "needs test sets; add the table": logs_of_seeds,
     "remove the key 'twin.truth'": friction_of_seeds,
     "needs the key 'laws'": laws_of_seeds,
     "which a loop needs; add it": table_of_a_loop,
-    "state it in the robot file, under": source_of_a_constant,
+    "in the robot file, under": source_of_a_constant,
 }
 """Statements, by words of them, and what provokes and mends each."""
 

@@ -88,11 +88,11 @@ REFUSALS = {
         columns={"t": "t", "q1": "q", "dq1": "dq", "i1": "amperes"},
         lines={"log.torque_per_ampere": (("log", "torque_per_ampere", "[0.11]"),)},
     ),
-    "name the columns to use under 'log.columns'": FileRefusal(
+    "columns to use under 'log.columns'": FileRefusal(
         columns={"t": "t", "q1": "q", "q2": "q", "dq1": "dq", "tau1": "tau"},
         lines={"log.columns": (("log.columns", "q", "['q1']"),)},
     ),
-    " of all joints in the table [limits]": FileRefusal(
+    "joints in the table [limits]": FileRefusal(
         robot='name = "arm"\nmodel = "bench.urdf"\njoints = ["j1", "j2"]\n',
         model=ARM.format(velocity="", mass="1", follows=""),
         command="excite robot.toml -o motion.csv --settings settings.toml",
@@ -109,9 +109,9 @@ REFUSALS = {
         columns={"t": "t", "q1": "q", "dq1": "dq", "tau1": "tau", "link": "q"},
         robot=ROBOT + "[log.columns]\nq_link = ['link']\n",
         lines={"rotor_inertia": (("", "rotor_inertia", "true"),)},
-        next_refusal="does not show the twist of a gear",
+        next_refusal="show the twist of a gear",
     ),
-    "leave it out of 'joints' and 'locked'": FileRefusal(
+    "out of 'joints' and 'locked'": FileRefusal(
         robot='name = "arm"\nmodel = "bench.urdf"\njoints = ["j1", "j2"]\n',
         model=ARM.format(velocity=' velocity="2"', mass="1", follows='<mimic joint="j1"/>'),
         command="excite robot.toml -o motion.csv --settings settings.toml",

@@ -109,7 +109,7 @@ REFUSALS = {
         arguments="export {}/law.json -o {}/x.fmu --inertia 0.01", values={"--format": "drive"}
     ),
     "needs 'bench'": Refusal(arguments="new {}/fresh --inertia 0.01", values={"--bench": "rotary"}),
-    "are for a rotary bench; use 'gravity'": Refusal(
+    "a rotary bench; use 'gravity'": Refusal(
         arguments="new {}/fresh --bench sliding --moment 1 --phase 0",
         values={"--gravity": ""},
         omitted=("--moment 1 --phase 0",),

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from containing import Containing
 
 from hesr_model.errors import LogError
 from hesr_model.logs import csv_text
@@ -46,9 +47,8 @@ def test_a_torn_last_row_is_left_out(
     with caplog.at_level(logging.WARNING):
         values = read(tmp_path / "a.csv", content)
     np.testing.assert_array_equal(values, ROWS[:-1])
-    assert [record.getMessage() for record in caplog.records] == [
-        "a.csv: its last row, 11, is cut off and was left out."
-    ]
+    (record,) = caplog.records
+    assert record.getMessage() == Containing("a.csv: its last row, 11, ", "left out.")
 
 
 @pytest.mark.parametrize(
