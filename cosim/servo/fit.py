@@ -32,7 +32,7 @@ from hesr_model.robots.servo_description import ServoKind
 from hesr_model.support.arrays import Array, Integers, Mask
 
 _START_FACTORS = (1.0, 0.5, 2.0)  # of all torques over the gain
-_SEARCH_RUNS, _POLISH_RUNS, _FOLD_RUNS, _FINE_RUNS = 8, 30, 6, 6  # most evaluations
+_SEARCH_RUNS, _POLISH_RUNS, _FOLD_RUNS, _FINE_RUNS = 8, 30, 6, 20  # most evaluations
 _SEARCH_SECONDS = 120.0  # of the records with which starts and servos are tried
 _HUBER = 1.345  # standard deviations beyond which an error counts linearly
 _MAD_TO_DEVIATION = 1.4826  # standard deviation over the median size of normal errors
@@ -41,11 +41,14 @@ _LARGEST = 1e3  # of a logarithmic unknown over its start, and its inverse
 _INSIDE = 1e-9  # distance of a start from its bounds
 _DIFFERENCE = 1e-3  # step of a derivative, relative to an unknown or its scale
 _LATENCY_DIFFERENCE = 2e-4  # [s]
+_LATENCY_SCALE = 1e-3  # [s], so that the end of a search does not overlook latencies
 _LOST = 1e3  # error in place of a run that fails, over the range of the motion
 _LEAST_SHARE = 0.02  # smallest scale of a torque over the largest of the friction
+_LEAST_INTEGRAL = 0.1  # start of an integral gain over the gain [1/s]
 _TINY = 1e-7  # start of what least squares did not find, over the gain, and share of round-off
 _ROUND_OFF = 1e-9  # of positions [rad; m]
 _BLOCK = 2.0  # length of the blocks of time whose errors count as independent [s]
+_MUCH_LESS = 0.8  # of the squares, with which fine inner steps are worth their time
 _CLEAR = 2.0  # standard errors by which one more unknown must be better
 _WORTH = 0.02  # and its share of the squares
 
@@ -135,10 +138,11 @@ class JointProblem:
     ) -> None:
         self._estimator = law
         self._kind = kind
-        self._start = find_start(records)
+        self._start = find_start(records, kind)
         self.law = _start_law(records, law, self._start)
         self._engine = JointEngine(self.law, sliding=records[0].sliding)
         self._base = JointServo(kp=1.0, body_factor=0.0)
+        self._substep = SUBSTEP
         self._use(records, SUBSTEP)
         self._largest_error = _LOST * max(float(np.ptp(record.q)) for record in records)
 
@@ -173,8 +177,10 @@ class JointProblem:
             raise FitError(f"joint '{self._records[0].joint}': no start of the fit runs")
         search, numbers = searches[int(np.nanargmin(costs))]
         numbers = search.minimise(numbers, _POLISH_RUNS)
+        if self._is_incomplete(search, numbers):
+            numbers = self._refine(search, numbers)
         search, numbers = self._complete_servo(search, numbers)
-        self._use(all_records, SUBSTEP)
+        self._use(all_records, self._substep)
         numbers = search.minimise(numbers, _POLISH_RUNS)
         self._substep = FINE_SUBSTEP
         return self._finish(search, search.minimise(numbers, _FINE_RUNS))
@@ -252,17 +258,35 @@ class JointProblem:
             name="latency",
             of_law=False,
             start=max(start.latency, 1e-3),
-            scale=1.0,
+            scale=_LATENCY_SCALE,
             lower=0.0,
             upper=MAX_LATENCY,
             is_logarithmic=False,
-            difference=_LATENCY_DIFFERENCE,
+            difference=_LATENCY_DIFFERENCE / _LATENCY_SCALE,
         )
         if self._kind != "position":
-            yield _size("kd", factor * max(start.viscous, _TINY))
+            yield _size("kd", factor * max(start.derivative, _LEAST_SHARE * start.viscous, _TINY))
         if self._kind == "pid":
-            yield _size("ki", 1.0)
+            yield _size("ki", factor * max(start.integral, _LEAST_INTEGRAL))
         yield from _list_coefficients(self._estimator, law, factor)
+
+    def _is_incomplete(self, search: "_Search", numbers: Array) -> bool:
+        """Return whether the errors are larger than the encoder's steps."""
+        errors = search.compute_residual(numbers)
+        return float(np.sqrt(np.mean(errors**2))) > find_encoder_step(self._records)
+
+    def _refine(self, search: "_Search", numbers: Array) -> Array:
+        """Return the numbers with fine inner steps, and keep these where they help much.
+
+        What long steps do to a stiff servo looks like a filter of its commands.
+        """
+        coarse_squares = search.compute_squares(numbers)
+        self._substep = FINE_SUBSTEP
+        refined = search.minimise(numbers, _FINE_RUNS)
+        if search.compute_squares(refined) < _MUCH_LESS * coarse_squares:
+            return refined
+        self._substep = SUBSTEP
+        return numbers
 
     def _complete_servo(self, search: "_Search", numbers: Array) -> tuple["_Search", Array]:
         """Return the search with what else the servo does, the most helpful first."""
@@ -281,8 +305,7 @@ class JointProblem:
 
     def _list_candidates(self, search: "_Search", numbers: Array) -> Iterator[FitUnknown]:
         """Yield what else a servo may do, if the errors are larger than the encoder's steps."""
-        errors = search.compute_residual(numbers)
-        if float(np.sqrt(np.mean(errors**2))) <= find_encoder_step(self._records):
+        if not self._is_incomplete(search, numbers):
             return
         servo, _ = self.apply(search.unknowns, numbers)
         largest_torque = max(
@@ -329,7 +352,7 @@ class JointProblem:
 
         A slow filter looks like viscous friction, which a search from there does not leave.
         """
-        start = find_filtered_start(self._records)
+        start = find_filtered_start(self._records, self._kind)
         law = _start_law(self._records, self._estimator, start)
         starts = {unknown.name: unknown.start for unknown in search.unknowns}
         starts |= {unknown.name: unknown.start for unknown in self._list_unknowns(1.0, start, law)}
@@ -382,13 +405,19 @@ class _Search:
         return float(np.sum(self.compute_residual(numbers) ** 2))
 
     def compute_jacobian(self, numbers: Array) -> Array:
-        """Return the derivatives (N, P) of the residual over the numbers of the search."""
-        base = self.compute_residual(numbers)
+        """Return the derivatives (N, P) of the residual over the numbers of the search.
+
+        Central differences, because the search crawls along valleys with those to one side.
+        """
         columns = []
         for k, unknown in enumerate(self.unknowns):
-            shifted = numbers.copy()
-            shifted[k] += unknown.difference
-            columns.append((self.compute_residual(shifted) - base) / unknown.difference)
+            later = numbers.copy()
+            later[k] += unknown.difference
+            earlier = numbers.copy()
+            lowest = unknown.encode(unknown.lower)
+            earlier[k] = max(numbers[k] - unknown.difference, lowest)
+            change = self.compute_residual(later) - self.compute_residual(earlier)
+            columns.append(change / (later[k] - earlier[k]))
         return np.column_stack(columns)
 
     def minimise(self, numbers: Array, runs: int) -> Array:
@@ -408,7 +437,7 @@ class _Search:
             f_scale=_HUBER * spread,
             x_scale="jac",
             max_nfev=runs,
-            xtol=1e-5,
+            xtol=1e-7,
             ftol=1e-6,
         )
         return np.asarray(result.x)

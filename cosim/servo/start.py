@@ -2,10 +2,11 @@
 
 Along a log, the servo's error is the torque over its gain:
 
-    q_cmd(t - latency) - q = (body + armature ddq + viscous dq + coulomb sgn(dq)) / kp
+    e + integral (sum of e) + derivative (dq_cmd(t - latency) - dq)
+        = (body + armature ddq + viscous dq + coulomb sgn(dq)) / kp,    e = q_cmd(t - latency) - q
 
 Rows that move determine the ratios; the latency is the one with the least squares. Commands may
-pass a first-order filter before.
+pass a first-order filter before. A servo of positions has neither integral nor derivative.
 """
 
 from collections.abc import Sequence
@@ -18,6 +19,7 @@ from hesr_model.errors import FitError
 from hesr_model.fitting.joint_rows import non_negative_least_squares
 from hesr_model.logs.rest import find_resting_speeds
 from hesr_model.rigid_body.friction_record import FrictionRecord
+from hesr_model.robots.servo_description import ServoKind
 from hesr_model.support.arrays import Array, Mask
 
 MAX_LATENCY = 0.25  # longest latency that is tried [s]
@@ -34,6 +36,8 @@ class ServoStart:
     armature: float
     viscous: float
     coulomb: float
+    derivative: float
+    integral: float
     latency: float
     command_filter: float
     cost: float
@@ -41,19 +45,24 @@ class ServoStart:
 
 def delay_commands(record: ServoRecord, latency: float, command_filter: float = 0.0) -> Array:
     """Return the commands (N,) in force at each row after a latency, held between rows."""
+    return _delay(record, record.q_cmd, latency, command_filter)
+
+
+def _delay(record: ServoRecord, commands: Array, latency: float, command_filter: float) -> Array:
+    """Return commands (N,) of any quantity in force at each row."""
     if command_filter > 0.0:
-        filtered = _filter_commands(record, command_filter)
+        filtered = _filter_commands(record.t, commands, command_filter)
         return np.asarray(np.interp(record.t - latency, record.t, filtered))
     acting_rows = np.searchsorted(record.t, record.t - latency + 1e-9, side="right") - 1
-    return np.asarray(record.q_cmd[np.maximum(acting_rows, 0)])
+    return np.asarray(commands[np.maximum(acting_rows, 0)])
 
 
-def _filter_commands(record: ServoRecord, command_filter: float) -> Array:
+def _filter_commands(t: Array, commands: Array, command_filter: float) -> Array:
     """Return the commands (N,) after a first-order filter, each held until the next row."""
-    shares = np.exp(-np.diff(record.t) / command_filter).tolist()
-    commands = record.q_cmd.tolist()
-    filtered = [commands[0]]
-    for share, command in zip(shares, commands, strict=False):
+    shares = np.exp(-np.diff(t) / command_filter).tolist()
+    steps = commands.tolist()
+    filtered = [steps[0]]
+    for share, command in zip(shares, steps, strict=False):
         filtered.append(command + share * (filtered[-1] - command))
     return np.array(filtered)
 
@@ -68,46 +77,64 @@ def find_moving_rows(records: Sequence[ServoRecord]) -> list[Mask]:
     return [np.abs(record.dq) > limit for record in records]
 
 
-def find_filtered_start(records: Sequence[ServoRecord]) -> ServoStart:
+def find_filtered_start(records: Sequence[ServoRecord], kind: ServoKind = "position") -> ServoStart:
     """Return the start of least squares whose commands pass a filter."""
-    starts = [find_start(records, command_filter) for command_filter in _FILTERS]
+    starts = [find_start(records, kind, command_filter) for command_filter in _FILTERS]
     return min(starts, key=lambda start: start.cost)
 
 
-def find_start(records: Sequence[ServoRecord], command_filter: float = 0.0) -> ServoStart:
+def find_start(
+    records: Sequence[ServoRecord], kind: ServoKind = "position", command_filter: float = 0.0
+) -> ServoStart:
     """Return the ratios and the latency of least squares; raise FitError if nothing moves."""
     moving = find_moving_rows(records)
     if sum(int(rows.sum()) for rows in moving) < _LEAST_ROWS:
         raise FitError(
             f"joint '{records[0].joint}' moves in fewer than {_LEAST_ROWS} rows; log more motion"
         )
-    columns = np.concatenate(
-        [_columns(record)[rows] for record, rows in zip(records, moving, strict=True)]
-    )
+    columns = _gather([_columns(record) for record in records], moving)
+    gain_count = {"position": 0, "pd": 1, "pid": 2}[kind]
     best_cost = np.inf
     best: tuple[Array, float] | None = None
     for latency in np.arange(0.0, MAX_LATENCY, _LATENCY_STEP):
-        errors = np.concatenate(
-            [
-                (delay_commands(record, latency, command_filter) - record.q)[rows]
-                for record, rows in zip(records, moving, strict=True)
-            ]
-        )
-        ratios, cost = non_negative_least_squares(columns, errors, non_negative=len(columns.T))
+        parts = [_find_servo_parts(record, latency, command_filter) for record in records]
+        gathered = _gather(parts, moving)
+        errors = gathered[:, 0]
+        gains = gathered[:, 1 : 1 + gain_count]
+        all_columns = np.hstack([columns, -gains])
+        count = all_columns.shape[1]
+        ratios, cost = non_negative_least_squares(all_columns, errors, non_negative=count)
         if cost < best_cost:
             best_cost = cost
             best = ratios, float(latency)
     assert best is not None
-    (body, armature, viscous, coulomb), latency = best[0].tolist(), best[1]
+    ratios, latency = best
+    body, armature, viscous, coulomb = ratios[:4].tolist()
+    derivative, integral = [*ratios[4:].tolist(), 0.0, 0.0][:2]
     return ServoStart(
         body=body,
         armature=armature,
         viscous=viscous,
         coulomb=coulomb,
+        derivative=derivative,
+        integral=integral,
         latency=latency,
         command_filter=command_filter,
         cost=best_cost,
     )
+
+
+def _gather(parts: Sequence[Array], moving: Sequence[Mask]) -> Array:
+    """Return the moving rows of arrays (N, K), one below the other."""
+    return np.concatenate([part[rows] for part, rows in zip(parts, moving, strict=True)])
+
+
+def _find_servo_parts(record: ServoRecord, latency: float, command_filter: float) -> Array:
+    """Return the servo's error, that of the speed, and the integral of the first (N, 3)."""
+    errors = delay_commands(record, latency, command_filter) - record.q
+    speed_errors = _delay(record, record.dq_cmd, latency, command_filter) - record.dq
+    integral = np.concatenate([[0.0], np.cumsum(errors[:-1] * np.diff(record.t))])
+    return np.column_stack([errors, speed_errors, integral])
 
 
 def _columns(record: ServoRecord) -> Array:
@@ -119,8 +146,9 @@ def separate_friction(records: Sequence[ServoRecord], start: ServoStart) -> list
     friction_records = []
     for record, rows in zip(records, find_moving_rows(records), strict=True):
         load = start.body * record.tau_load
-        commands = delay_commands(record, start.latency, start.command_filter)
-        tau = commands - record.q - load - start.armature * record.ddq
+        parts = _find_servo_parts(record, start.latency, start.command_filter)
+        servo_torque = parts @ [1.0, start.derivative, start.integral]
+        tau = servo_torque - load - start.armature * record.ddq
         friction_record = FrictionRecord(
             log=record.log,
             joint=record.joint,

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hobby_servo import draw_hobby_servo, run_along, write_robot
+from industrial_joint import draw_industrial_joint
 from small_study import Hesr, hesr_here
 
 import hesr
@@ -210,3 +211,12 @@ def test_a_slow_filter_of_commands_is_no_friction(tmp_path: Path) -> None:
     assert model.servos[0].servo.command_filter == pytest.approx(0.2, rel=0.01)
     for name in ("F_c", "sigma_2"):
         assert model.laws[0].values[name] == pytest.approx(draw.law.values[name], rel=0.05)
+
+
+def test_the_gains_of_a_pid_are_found(tmp_path: Path) -> None:
+    draw = draw_industrial_joint(tmp_path, 3, seconds=6.0)  # its smoothed log begins in motion
+    log = Log(t=draw.t, q=draw.q, q_cmd=draw.q_cmd, robot=draw.robot)
+    [fitted] = hesr.fit(log, law="coulomb_viscous").servos
+    assert fitted.position_rmse < 1.3 * draw.step / np.sqrt(12.0)
+    for name in ("kp", "ki", "kd"):
+        assert getattr(fitted.servo, name) == pytest.approx(getattr(draw, name), rel=0.015)
