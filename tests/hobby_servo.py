@@ -34,7 +34,6 @@ class HobbyServo:
     """A draw: what a fit must find, and its log."""
 
     robot: Robot
-    body_factor: float  # of the log's lever, over that of the robot file
     servo: PositionServo
     armature: float
     law: FrictionLaw
@@ -82,13 +81,12 @@ def draw_hobby_servo(
     seconds: float = 40.0,
     bits: int = 12,
     extra: str = "",
-    body_error: float = 0.0,
+    body_factor: float = 1.0,
     command_filter: float = 0.0,
 ) -> HobbyServo:
     """Draw lever, servo, friction and commands, and simulate the log in `folder`.
 
-    The lever of the robot file is lighter than that of the log by a factor with the relative
-    standard error `body_error`.
+    The lever of the log is heavier than that of the robot file by `body_factor`.
     """
     generator = np.random.default_rng(seed)
     chosen_rate = rate or float(generator.choice([50.0, 100.0, 200.0]))
@@ -118,12 +116,10 @@ def draw_hobby_servo(
     )
     armature = generator.uniform(0.005, 0.03)
     exact = simulate(folder, true_robot, servo, armature, law, t, q_cmd)
-    body_factor = float(np.exp(body_error * generator.standard_normal()))
     robot = Robot(write_robot(folder, mass / body_factor, centre, extra))
     step = 2.0 * np.pi / 2**bits
     return HobbyServo(
         robot=robot,
-        body_factor=body_factor,
         servo=servo,
         armature=armature,
         law=law,
