@@ -27,7 +27,7 @@ from hesr_model.fitting.estimator import Estimator
 from hesr_model.fitting.separable import SearchSpace
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.servo import JointServo
-from hesr_model.laws.stribeck import TAU_0
+from hesr_model.laws.stribeck import F_C, F_S, SIGMA_2, TAU_0
 from hesr_model.robots.servo_description import ServoKind
 from hesr_model.support.arrays import Array, Integers, Mask
 
@@ -168,8 +168,10 @@ class JointProblem:
         all_records = self._records
         self._use(_select_seconds(all_records, _SEARCH_SECONDS), SUBSTEP)
         searches = []
-        for factor in _START_FACTORS:
-            unknowns = tuple(self._list_unknowns(factor, self._start, self.law))
+        plain_law = _simplify_law(self._estimator, self.law, self._start)
+        starts = [(factor, self.law) for factor in _START_FACTORS]
+        for factor, law in [*starts, (1.0, plain_law)]:
+            unknowns = tuple(self._list_unknowns(factor, self._start, law))
             search = _Search(self, unknowns)
             searches.append((search, search.minimise(_encode_starts(unknowns), _SEARCH_RUNS)))
         costs = [search.compute_cost(numbers) for search, numbers in searches]
@@ -517,6 +519,20 @@ def _start_law(
     # An offset of the torque cannot be told from a bias of the encoder; both count as 0.
     no_offset = {TAU_0.name: 0.0} if TAU_0.name in fitted.values else {}
     return replace(fitted, values={**fitted.values, **no_offset})
+
+
+def _simplify_law(law: type[Estimator], fitted: FrictionLaw, start: ServoStart) -> FrictionLaw:
+    """Return a law that starts as Coulomb and viscous friction, as far as it has such terms.
+
+    Least squares of many terms to a servo's error may start a fit far from its minimum.
+    """
+    sizes = {F_C.name: start.coulomb, F_S.name: start.coulomb, SIGMA_2.name: start.viscous}
+    linear = _find_space(law, fitted).linear
+    values = {
+        name: sizes.get(name, 0.0) if name in linear else value
+        for name, value in fitted.values.items()
+    }
+    return replace(fitted, values=values)
 
 
 def _list_coefficients(

@@ -4,6 +4,7 @@ Every second motion of the folder trains, the others are unseen. The bounds are 
 project set for motions of the same arm.
 """
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ pytestmark = [
     pytest.mark.skipif(not SO101.is_dir(), reason="needs the logs in ../shared/examples"),
 ]
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
-LAW = "coulomb_viscous"
+LAW = "bam_m3"
 # RMS of all unseen motions, and of the median motion [rad].
 BOUNDS = {
     "shoulder_lift": (16e-3, 5.5e-3),
@@ -65,6 +66,7 @@ def test_unseen_motions_follow_from_commands(
     by_motion = [float(np.sqrt(np.mean(error**2))) for error in errors]
     total = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
     median = float(np.median(by_motion))
+    sys.stdout.write(f"{joint}: {1e3 * total:.2f} mrad, median {1e3 * median:.2f} mrad\n")
     most, most_of_median = BOUNDS[joint]
     assert total < most
     if most_of_median is not None:
