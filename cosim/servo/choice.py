@@ -19,7 +19,7 @@ from cosim.servo.start import delay_commands
 from cosim.study.verdict import describe_choice
 from hesr_model.audit.certificate import has_proof
 from hesr_model.errors import FitError
-from hesr_model.fitting.estimator import estimator
+from hesr_model.fitting.estimator import estimator, select_laws
 from hesr_model.friction.model import FrictionModel
 from hesr_model.inference.choice import CHOOSE, choose_laws, is_better
 from hesr_model.inference.folds import FOLD_COUNT, number_rows
@@ -32,8 +32,7 @@ from hesr_model.support import parallel
 from hesr_model.support.arrays import Array, Integers
 from hesr_model.support.progress import Progress, silent
 
-LAWS = (NoFriction.name, CoulombViscous.name, "stribeck", "bam_m3", "bam_m4")
-"""Laws without memory, from few coefficients to many; an offset is not told from an encoder's."""
+FROM_COMMANDS = "from_commands"  # fact of the laws that are tried
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -75,7 +74,7 @@ def choose_from_commands(
     ]
     judged = _judge_all(records, robot, np.concatenate(fold_of_row), workers, progress)
     latency = find_common_latency([joint[CoulombViscous.name].fit for joint in judged])
-    laws = [law for law in LAWS if all(law in joint for joint in judged)]
+    laws = [law for law in select_laws(FROM_COMMANDS) if all(law in joint for joint in judged)]
     errors = _collect_errors(records, judged, laws, fold_of_row, latency[0])
     choice = choose_laws(
         _keep_simple_laws(errors),
@@ -107,7 +106,7 @@ def _keep_simple_laws(errors: LeftOutErrors) -> LeftOutErrors:
     for j in range(len(errors.joints)):
         unbeaten = (
             law
-            for law in LAWS
+            for law in select_laws(FROM_COMMANDS)
             if law in errors.laws
             and not any(is_better(errors, other, law, j) for other in errors.laws)
         )
@@ -130,7 +129,7 @@ def _judge_all(
 ) -> list[dict[str, _Judgement]]:
     """Return the judgements of all laws that can be fitted, by joint."""
     kind = robot.description.servo.kind
-    pairs = [(j, law) for j in range(robot.n) for law in LAWS]
+    pairs = [(j, law) for j in range(robot.n) for law in select_laws(FROM_COMMANDS)]
     jobs = [partial(_judge, records[j], law, kind, fold_of_row) for j, law in pairs]
     judged: list[dict[str, _Judgement]] = [{} for _ in records]
     labels = [f"{robot.joints[j]}, {law}" for j, law in pairs]

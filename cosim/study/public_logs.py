@@ -142,8 +142,7 @@ def _find_model(source: PublicSource, clone: Path, given_model: Path | None) -> 
         )
     if not source.model and given_model is None:
         raise ConfigError(
-            f"{clone}: {source.repository} has no URDF; give that of the robot as 'robot', with "
-            "--robot on the command line.",
+            f"{clone}: {source.repository} has no URDF; give that of the robot as 'robot'.",
             code="public.model",
             where=clone,
             key="robot",

@@ -35,6 +35,8 @@ class Estimator(ABC):
     order : position in tables; laws of other packages come last.
     quick : True to include it in quick runs.
     proposed : True to include it in proposed studies.
+    from_commands : True to choose among it for logs without torque; by `order`
+        from few coefficients to many.
     paper : position among the laws of the paper, from 1; 0 for others.
     adds : law that it extends and part that it adds, for the ablation table.
     """
@@ -49,12 +51,13 @@ class Estimator(ABC):
     order: ClassVar[int] = 1000
     quick: ClassVar[bool] = False
     proposed: ClassVar[bool] = False
+    from_commands: ClassVar[bool] = False
     paper: ClassVar[int] = 0
     adds: ClassVar[tuple[str, str] | None] = None
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
-        for fact in ("baseline", "order", "quick", "proposed", "paper", "adds"):
+        for fact in ("baseline", "order", "quick", "proposed", "from_commands", "paper", "adds"):
             if fact not in vars(cls):
                 setattr(cls, fact, getattr(Estimator, fact))
 

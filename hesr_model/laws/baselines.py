@@ -94,6 +94,7 @@ class NoFriction(_Baseline):
     baseline = True
     quick = True
     proposed = True
+    from_commands = True
     expressions = LawForm(coefficients=(), output=sympy.S.Zero)
 
     @staticmethod
@@ -133,6 +134,7 @@ class CoulombViscous(_Baseline):
     classic = True
     quick = True
     proposed = True
+    from_commands = True
     expressions = LawForm(
         coefficients=(F_C, SIGMA_2, TAU_0),
         output=F_C.symbol * sgn(DQ) + SIGMA_2.symbol * DQ + TAU_0.symbol,

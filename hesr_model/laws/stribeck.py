@@ -31,6 +31,7 @@ class Stribeck(OneForm):
     classic = True
     quick = True
     proposed = True
+    from_commands = True
     paper = 4
     expressions = LawForm(
         coefficients=(F_C, F_S, V_S, SIGMA_2, TAU_0),

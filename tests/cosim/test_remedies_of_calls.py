@@ -406,7 +406,6 @@ def model_of_public_logs(place: Place) -> Iterator[str]:
 def missing_model_of_public_logs(place: Place) -> Iterator[str]:
     yield (sentence := find_public_model(place, ""))
     (option,) = read_quoted(sentence, "as")
-    assert f"--{option} " in sentence
     yield find_public_model(place, "", **{option: place.bench / "bench.urdf"})
 
 
@@ -434,7 +433,7 @@ EXECUTED: dict[str, Callable[[Place], Iterator[str]]] = {
     "body with body = ": body_of_a_plant,
     'set body = "physical" in': body_of_a_study,
     "model of its own": model_of_public_logs,
-    "on the command line": missing_model_of_public_logs,
+    "that of the robot as": missing_model_of_public_logs,
     "which this command needs; without it": commands_instead_of_torque,
     "torque; give the name of": law_alone,
     "has no 'unit'; give it": unit_of_a_coefficient,

@@ -120,7 +120,9 @@ class _Bam(OneForm):
         return any(factor.has(_STRIBECK_FACTOR) for _, factor in cls.terms)
 
 
-def _register(number: int, *level: tuple[Coefficient, sympy.Expr]) -> None:
+def _register(
+    number: int, *level: tuple[Coefficient, sympy.Expr], chosen_from_commands: bool = False
+) -> None:
     @register
     class Model(_Bam):
         __doc__ = _Bam.__doc__
@@ -128,11 +130,12 @@ def _register(number: int, *level: tuple[Coefficient, sympy.Expr]) -> None:
         title = f"BAM M{number}"
         order = 190 + 10 * number
         terms = level
+        from_commands = chosen_from_commands
 
 
 _register(1, _LEVEL)
 _register(2, _LEVEL, _RISE)
-_register(3, _LEVEL, _LOAD)
-_register(4, _LEVEL, _RISE, _LOAD, _LOAD_RISE)
+_register(3, _LEVEL, _LOAD, chosen_from_commands=True)
+_register(4, _LEVEL, _RISE, _LOAD, _LOAD_RISE, chosen_from_commands=True)
 _register(5, _LEVEL, _RISE, *_DRIVING)
 _register(6, _LEVEL, _RISE, *_DRIVING, *_SQUARES)
