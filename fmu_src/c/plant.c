@@ -172,8 +172,8 @@ static bool component_initialise(Component *component, void *workspace, Message 
             !sound(v, most, v[most] >= v[Q_MIN + i], "not be below the lower limit", why)) {
             return false;
         }
-        const int own[] = {KV + i, KI + i,     TORQUE_LIMIT + i,
-                           LATENCY, KP + i, COMMAND_FILTER + i, SPEED_LIMIT + i};
+        const int own[] = {
+            KV + i, KI + i, TORQUE_LIMIT + i, LATENCY, KP + i, COMMAND_FILTER + i, SPEED_LIMIT + i};
         for (int n = 0; SERVO && n < 4 + POSITION + 2 * DIRECT; n++) {
             if (!sound(v, own[n], v[own[n]] >= 0.0, "not be negative", why)) {
                 return false;
