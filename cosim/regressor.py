@@ -15,6 +15,7 @@ from cosim.workflow.arguments import (
     list_names,
     logs_unless_table,
     read_logs,
+    require_one_way,
 )
 from hesr_model.errors import FitError, TableError
 from hesr_model.fitting.estimator import Estimator, estimator, to_law_name
@@ -349,7 +350,9 @@ class FrictionRegressor:
         if sources is None:
             return None
         robot = getattr(self, "robot_", None) if self.robot is None else self.robot
-        return read_logs(sources, robot)
+        logs = read_logs(sources, robot)
+        require_one_way(logs, from_commands=False)
+        return logs
 
     def _require_fitted(self) -> FrictionModel:
         if hasattr(self, "model_"):

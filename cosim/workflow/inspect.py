@@ -14,6 +14,7 @@ from cosim.workflow.arguments import (
     list_names,
     list_numbers,
     read_logs,
+    require_one_way,
     to_optional_output,
 )
 from hesr_model.errors import ArgumentError, HesrError, LogError
@@ -373,7 +374,9 @@ def _estimate_torque_constants(
     log_format = moved_robot.description.log
 
     def smooth_logs(sources: Sequence[LogSource]) -> list[Motion]:
-        parts = collect_parts(read_logs(sources, moved_robot))
+        logs = read_logs(sources, moved_robot)
+        require_one_way(logs, from_commands=False)
+        parts = collect_parts(logs)
         return [smooth(part, log_format.filter_cutoff) for part in parts]
 
     progress("estimating torque constants", 0, 1)

@@ -56,7 +56,14 @@ def friction_records(log: Log, robot: Robot, body: RigidBody) -> list[FrictionRe
 
 
 def motion_records(motion: Motion, robot: Robot, body: RigidBody) -> list[FrictionRecord]:
-    """Return the friction records of a smoothed log."""
+    """Return the friction records of a smoothed log; LogError if it has no torque."""
+    if not motion.tau.shape[1]:
+        raise LogError(
+            f"log '{motion.name}': has no torque, from which friction would be separated.",
+            code="log.no_torque",
+            where=motion.name,
+            key="tau",
+        )
     tau_body = body.torque(robot, motion)
     tau_load = tau_body if motion.load is None else motion.load
     tau_spread = None if motion.load is not None else body.torque_spread(robot, motion)

@@ -197,6 +197,17 @@ def test_other_commands_and_laws_say_what_is_missing(lever, cli: Hesr) -> None:
         hesr.fit([torque_log, bare_log], law="coulomb_viscous")
 
 
+def test_what_needs_torques_says_so_in_one_sentence(lever) -> None:
+    _, draw = lever
+    log = Log(t=draw.t, q=draw.q, q_cmd=draw.q_cmd, robot=draw.robot)
+    with_torque = Log(t=draw.t, q=draw.q, tau=draw.q, robot=draw.robot)
+    body = hesr.identify(with_torque, body="nominal", accept=["torque-signal", "torque-small"])
+    with pytest.raises(LogError, match="has no torque"):
+        body.separate_friction(log)
+    with pytest.raises(LogError, match="has no torque"):
+        hesr.FrictionRegressor(law="coulomb_viscous", robot=draw.robot).fit([log])
+
+
 def test_commands_of_another_motion_explain_nothing(tmp_path: Path) -> None:
     draw = draw_hobby_servo(tmp_path, SEED, rate=RATE, seconds=20.0)
     log = Log(t=draw.t, q=draw.q, q_cmd=draw.q_cmd[::-1].copy(), robot=draw.robot)
