@@ -151,12 +151,13 @@ class LawReport(Answer):
         """Return the results of all kinds as JSON data."""
         from hesr_model.support.typed_files import to_json
 
+        motions = {
+            name: [to_json(errors) for errors in log_errors]
+            for name, log_errors in self.motions.items()
+        }
         return {
+            **({"motion": motions} if motions else {}),  # of logs without torque only
             "prediction": self.scores and to_json(self.scores),
-            "motion": {
-                name: [to_json(errors) for errors in motions]
-                for name, motions in self.motions.items()
-            },
             "replicates": self.replicates and to_json(self.replicates),
             "simulation": self.positions and to_json(self.positions),
             "passivity": {
