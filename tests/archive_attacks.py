@@ -43,6 +43,7 @@ class Entry:
 
 
 def entry(name: str, data: bytes = b"x", **changes: object) -> Entry:
+    # Attacks set fields to values of any type.
     return replace(Entry(name=name.encode(), data=data), **changes)  # type: ignore[arg-type]
 
 

@@ -32,7 +32,7 @@ _AXIS = """<robot name="axis"><link name="base"/><link name="link"/>
 <limit lower="-1e6" upper="1e6" effort="1e6" velocity="1e6"/></joint></robot>
 """
 _FIRST_ROWS, _FIRST_SECONDS = 10, 0.03  # least rows and time that show the first speed
-_CLEAR = 3.0  # standard errors by which a first speed must differ from 0
+_CLEAR = 3.0  # least first speed, in its standard errors
 _RESTING = 1e-3  # share of the fastest speed below which a log starts at rest
 
 

@@ -33,7 +33,7 @@ from hesr_model.support.arrays import Array, Integers, Mask
 
 _START_FACTORS = (1.0, 0.5, 2.0)  # of all torques over the gain
 _SEARCH_RUNS, _POLISH_RUNS, _FOLD_RUNS, _FINE_RUNS = 8, 30, 6, 20  # most evaluations
-_SEARCH_SECONDS = 120.0  # of the records with which starts and servos are tried
+_SEARCH_SECONDS = 120.0  # of the records that try starts and servos
 _HUBER = 1.345  # standard deviations beyond which an error counts linearly
 _MAD_TO_DEVIATION = 1.4826  # standard deviation over the median size of normal errors
 _LEAST_SPREAD = 1e-9  # of errors [rad; m]
@@ -48,8 +48,8 @@ _LEAST_INTEGRAL = 0.1  # start of an integral gain over the gain [1/s]
 _TINY = 1e-7  # start of what least squares did not find, over the gain, and share of round-off
 _ROUND_OFF = 1e-9  # of positions [rad; m]
 _BLOCK = 2.0  # length of the blocks of time whose errors count as independent [s]
-_MUCH_LESS = 0.8  # of the squares, with which fine inner steps are worth their time
-_CLEAR = 2.0  # standard errors by which one more unknown must be better
+_MUCH_LESS = 0.8  # share of the squares that makes fine inner steps worth their time
+_CLEAR = 2.0  # standard errors that one more unknown must gain
 _WORTH = 0.02  # and its share of the squares
 
 
@@ -161,7 +161,7 @@ class JointProblem:
         ]
 
     def fit(self) -> JointFit:
-        """Fit from several starts, and with what else a servo may do where that is needed.
+        """Fit from several starts, with filter and limits of the servo if the errors need them.
 
         Raises FitError if no start runs.
         """
@@ -188,7 +188,7 @@ class JointProblem:
         return self._finish(search, search.minimise(numbers, _FINE_RUNS))
 
     def _use(self, records: Sequence[ServoRecord], substep: float) -> None:
-        """Run some records from now on, with inner steps [s]."""
+        """Set the records that runs follow, and their inner steps [s]."""
         self._records = records
         self._substep = substep
         self._measured = np.concatenate([record.q for record in records])
@@ -280,7 +280,7 @@ class JointProblem:
     def _refine(self, search: "_Search", numbers: Array) -> Array:
         """Return the numbers with fine inner steps, and keep these where they help much.
 
-        What long steps do to a stiff servo looks like a filter of its commands.
+        Long steps at a stiff servo look like a filter of its commands.
         """
         coarse_squares = search.compute_squares(numbers)
         self._substep = FINE_SUBSTEP
@@ -291,7 +291,7 @@ class JointProblem:
         return numbers
 
     def _complete_servo(self, search: "_Search", numbers: Array) -> tuple["_Search", Array]:
-        """Return the search with what else the servo does, the most helpful first."""
+        """Return the search with limits and filter of the servo, the most helpful first."""
         while True:
             best = search, numbers
             least = search.compute_squares(numbers)
@@ -306,7 +306,7 @@ class JointProblem:
             search, numbers = best
 
     def _list_candidates(self, search: "_Search", numbers: Array) -> Iterator[FitUnknown]:
-        """Yield what else a servo may do, if the errors are larger than the encoder's steps."""
+        """Yield limits and filter of the servo if errors exceed the encoder's steps."""
         if not self._is_incomplete(search, numbers):
             return
         servo, _ = self.apply(search.unknowns, numbers)
@@ -446,7 +446,7 @@ class _Search:
 
 
 def _select_seconds(records: Sequence[ServoRecord], seconds: float) -> Sequence[ServoRecord]:
-    """Return the records in which the joint moves most, at most some seconds, or the first."""
+    """Return the records that move the joint most, at most some seconds, but at least one."""
     by_motion = sorted(records, key=lambda record: -float(np.std(record.dq)))
     selected: list[ServoRecord] = []
     duration = 0.0
@@ -460,15 +460,9 @@ def _select_seconds(records: Sequence[ServoRecord], seconds: float) -> Sequence[
 
 def _positive(name: str, start: float) -> FitUnknown:
     """Return an unknown of the servo that changes by factors."""
-    return FitUnknown(
-        name=name,
-        of_law=False,
-        start=start,
-        scale=start,
-        lower=start / _LARGEST,
-        upper=start * _LARGEST,
-        is_logarithmic=True,
-    )
+    size = _size(name, start)
+    lower = start / _LARGEST
+    return replace(size, lower=lower, upper=start * _LARGEST, is_logarithmic=True)
 
 
 def _size(name: str, start: float) -> FitUnknown:
@@ -516,7 +510,7 @@ def _start_law(
     """Return the law fitted to what the servo's error leaves by least squares."""
     friction = separate_friction(records, start)
     fitted = law().fit(friction, np.random.default_rng(0))
-    # An offset of the torque cannot be told from a bias of the encoder; both count as 0.
+    # An offset of the torque acts like a bias of the encoder; both count as 0.
     no_offset = {TAU_0.name: 0.0} if TAU_0.name in fitted.values else {}
     return replace(fitted, values={**fitted.values, **no_offset})
 

@@ -1,7 +1,8 @@
 """Intervals of what was fitted to commands: sandwich covariance over blocks of time.
 
-The errors of a run are correlated over seconds, and steps of the encoder are no noise. So the
-gradients of whole blocks count as independent, and Student's quantile as many of them as are left.
+The errors of a run are correlated over seconds, and steps of the encoder are not independent
+noise. So the gradients of whole blocks count as independent, with Student's quantile for as many
+blocks as exceed the number of values.
 """
 
 from dataclasses import dataclass

@@ -28,7 +28,7 @@ from hesr_model.support import parallel
 from hesr_model.support.arrays import Array, rms
 from hesr_model.support.progress import Progress, silent
 
-MOST_UNEXPLAINED = 0.5  # error over that of the ideal servo from which commands do not explain
+MOST_UNEXPLAINED = 0.5  # least error over the ideal servo's that commands leave unexplained
 _TORQUE = "N.m"
 _LEAST_LATENCY_ERROR = 5e-3  # [s] of a joint among several
 _MANY_STEPS = 3.0  # of the encoder: an error that it does not explain
@@ -299,16 +299,7 @@ def _power_of_torque(name: str, law: FrictionLaw) -> int:
 def _to_friction_record(record: ServoRecord, servo: JointServo, law: FrictionLaw) -> FrictionRecord:
     """Return the friction of a law along the measured motion, for the ranges of its training."""
     load = servo.body_factor * record.tau_load + servo.armature * record.ddq
-    bare = FrictionRecord(
-        log=record.log,
-        joint=record.joint,
-        t=record.t,
-        dq=record.dq,
-        q=record.q,
-        tau_load=load,
-        tau=np.zeros_like(load),
-        sliding=record.sliding,
-    )
+    bare = record.to_friction_record(load, np.zeros_like(load))
     tau: Array = predict_record(law, bare)
     return replace(bare, tau=tau)
 

@@ -1,9 +1,11 @@
 """Motion of the whole robot along the commands of a log, by the plant that is exported."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from fmu_src.export.toolchain import HOST
 from fmu_src.plant.plant_fmu import export_plant
 from fmu_src.plant.servo_plant import find_servo_plant
 from fmu_src.run.fmu import FmuInstance
@@ -14,6 +16,7 @@ from hesr_model.rigid_body.servo import compute_commands
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
+from hesr_model.support.progress import Progress, silent
 
 
 def predict_motion(model: FrictionModel, robot: Robot, log: Log) -> Array:
@@ -21,12 +24,30 @@ def predict_motion(model: FrictionModel, robot: Robot, log: Log) -> Array:
 
     Raises ExportError if nothing fixes the size of torques, SimulationError if the plant fails.
     """
-    plant_body, servo = find_servo_plant(model, robot)
     with scratch_folder() as folder:
-        fmu = export_plant(
-            model, folder / "plant.fmu", plant_body=plant_body, servo=servo, bare=True
-        )
-        return run_plant(fmu, log)
+        return run_plant(export_servo_plant(model, robot, folder / "plant.fmu", bare=True), log)
+
+
+def export_servo_plant(
+    model: FrictionModel,
+    robot: Robot,
+    path: Path,
+    *,
+    platforms: Sequence[str] = HOST,
+    progress: Progress = silent,
+    bare: bool = False,
+) -> Path:
+    """Write the plant of a robot with the servos of a model that was fitted to commands."""
+    plant_body, servo = find_servo_plant(model, robot)
+    return export_plant(
+        model,
+        path,
+        plant_body=plant_body,
+        servo=servo,
+        platforms=platforms,
+        progress=progress,
+        bare=bare,
+    )
 
 
 def run_plant(fmu: Path, log: Log) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 from hesr_model.errors import FitError
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.servo import compute_commands
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
@@ -52,6 +53,19 @@ class ServoRecord:
     def tau_load(self) -> Array:
         """Torque (N,) [N.m; N] that the bodies need along the measured motion."""
         return self.inertia * self.ddq + self.bias
+
+    def to_friction_record(self, tau_load: Array, tau: Array) -> FrictionRecord:
+        """Return a record of friction `tau` under a load (N,) along the measured motion."""
+        return FrictionRecord(
+            log=self.log,
+            joint=self.joint,
+            t=self.t,
+            dq=self.dq,
+            q=self.q,
+            tau_load=tau_load,
+            tau=tau,
+            sliding=self.sliding,
+        )
 
 
 def remove_rotors(robot: Robot, parameters: Array) -> Array:

@@ -12,7 +12,7 @@ from cosim.servo.interval import Interval
 from hesr_model.friction.servo import ScaleSource
 from hesr_model.robots.robot import RobotDescription
 
-_MOST_ERROR = 0.3  # relative error of gravity over the gain from which it fixes nothing
+_MOST_ERROR = 0.3  # largest relative error of gravity over the gain that still fixes the size
 _CONTRADICTION = 3.0  # standard errors between a stated gain and gravity
 
 

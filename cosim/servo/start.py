@@ -149,16 +149,6 @@ def separate_friction(records: Sequence[ServoRecord], start: ServoStart) -> list
         parts = _find_servo_parts(record, start.latency, start.command_filter)
         servo_torque = parts @ [1.0, start.derivative, start.integral]
         tau = servo_torque - load - start.armature * record.ddq
-        friction_record = FrictionRecord(
-            log=record.log,
-            joint=record.joint,
-            t=record.t,
-            dq=record.dq,
-            q=record.q,
-            tau_load=load,
-            tau=tau,
-            sliding=record.sliding,
-        )
         if np.any(rows):
-            friction_records.append(friction_record.rows(rows))
+            friction_records.append(record.to_friction_record(load, tau).rows(rows))
     return friction_records

@@ -1,6 +1,7 @@
 """Run of a study whose logs have no torque: law and servo of each joint, FMUs, and errors."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -10,15 +11,13 @@ import numpy as np
 from cosim.servo.choice import choose_from_commands
 from cosim.servo.engine import FINE_SUBSTEP, JointEngine
 from cosim.servo.model import fit_from_commands
-from cosim.servo.motion import predict_motion
+from cosim.servo.motion import export_servo_plant, run_plant
 from cosim.servo.record import read_servo_records
 from cosim.servo.start import delay_commands
 from cosim.study.steps import Job, checkpoint_folder
 from cosim.study.study import Study
 from fmu_src.export.toolchain import HOST, targets
 from fmu_src.friction.friction_fmu import export_fmu
-from fmu_src.plant.plant_fmu import export_plant
-from fmu_src.plant.servo_plant import find_servo_plant
 from hesr_model.findings import Finding, log_findings
 from hesr_model.friction.model import FrictionModel
 from hesr_model.health.examine import check_logs
@@ -26,7 +25,7 @@ from hesr_model.laws.baselines import CoulombViscous
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, rms
-from hesr_model.support.files import newest, provenance
+from hesr_model.support.files import newest, provenance, scratch_folder
 from hesr_model.support.progress import Stages, silent
 from hesr_model.support.result_folder import folder_written_whole
 
@@ -67,10 +66,10 @@ class CommandOutcome:
     errors: Sequence[MotionErrors]
     findings: Sequence[Finding]
 
-    @property
-    def has_scale(self) -> bool:
-        """Whether the size of the torques of all joints is known."""
-        return all(servo.scale != "none" for servo in self.model.servos)
+
+def has_scale(model: FrictionModel) -> bool:
+    """Return whether the size of the torques of all joints is known."""
+    return all(servo.scale != "none" for servo in model.servos)
 
 
 def lacks_torque(path: Path) -> bool:
@@ -140,10 +139,8 @@ def run_from_commands(
             provenance=source,
             progress=partial(progress, "judging laws by motion from commands"),
         )
-    errors = [
-        compute_motion_errors(model, robot, log, is_test=name not in study.logs.training)
-        for name, log in logs.items()
-    ]
+    are_tests = [name not in study.logs.training for name in logs]
+    errors = compute_motion_errors(model, robot, list(logs.values()), are_tests)
     outcome = CommandOutcome(model=model, fmus={}, errors=errors, findings=findings)
     with folder_written_whole(output) as folder:
         (folder / "laws").mkdir()
@@ -167,18 +164,16 @@ def _write_fmus(
     progress: Stages,
 ) -> list[str]:
     """Write the FMUs of friction and of the plant with its servos; none without a scale."""
-    if not outcome.has_scale:
+    if not has_scale(outcome.model):
         return []
     model = outcome.model
     folder.mkdir()
     name = f"{model.law}.fmu"
     export_fmu(model, folder / name, platforms=platforms, progress=partial(progress, name))
-    plant_body, servo = find_servo_plant(model, robot)
-    export_plant(
+    export_servo_plant(
         model,
+        robot,
         folder / PLANT,
-        plant_body=plant_body,
-        servo=servo,
         platforms=platforms,
         progress=partial(progress, PLANT),
     )
@@ -186,30 +181,51 @@ def _write_fmus(
 
 
 def compute_motion_errors(
-    model: FrictionModel, robot: Robot, log: Log, *, is_test: bool
+    model: FrictionModel, robot: Robot, logs: Sequence[Log], are_tests: Sequence[bool]
+) -> list[MotionErrors]:
+    """Return the errors of the positions that the commands of each log cause.
+
+    The plants of all joints, and of the whole robot if its torques have a scale, are made once.
+    """
+    with ExitStack() as cleanup:
+        engines = [
+            cleanup.enter_context(JointEngine(law, sliding=is_sliding))
+            for law, is_sliding in zip(model.laws, robot.slides, strict=True)
+        ]
+        plant = None
+        if has_scale(model):
+            folder = cleanup.enter_context(scratch_folder())
+            plant = export_servo_plant(model, robot, folder / PLANT, bare=True)
+        return [
+            _compute_errors_of_log(model, robot, log, engines, plant, is_test=is_test)
+            for log, is_test in zip(logs, are_tests, strict=True)
+        ]
+
+
+def _compute_errors_of_log(
+    model: FrictionModel,
+    robot: Robot,
+    log: Log,
+    engines: Sequence[JointEngine],
+    plant: Path | None,
+    *,
+    is_test: bool,
 ) -> MotionErrors:
-    """Return the errors of the positions that the commands of a log cause."""
-    has_scale = all(servo.scale != "none" for servo in model.servos)
+    """Return the errors of one log by the plants of its joints, and by that of the robot."""
     ideal = []
     alone = []
     for j, records in enumerate(read_servo_records([log], robot, robot.nominal_parameters)):
         servo = model.servos[j].servo
-        with JointEngine(model.laws[j], sliding=robot.slides[j]) as engine:
-            runs = [
-                engine.run(record, servo, model.laws[j].values, substep=FINE_SUBSTEP)
-                for record in records
-            ]
-        pairs = list(zip(runs, records, strict=True))
+        values = model.laws[j].values
+        runs = [engines[j].run(record, servo, values, substep=FINE_SUBSTEP) for record in records]
+        pairs = zip(runs, records, strict=True)
         alone.append(_join_rms([run - record.q for run, record in pairs]))
         ideal.append(
             _join_rms([delay_commands(record, servo.latency) - record.q for record in records])
         )
     coupled: tuple[float, ...] = ()
-    if has_scale:
-        parts = log.parts()
-        differences = np.concatenate(
-            [predict_motion(model, robot, part) - part.q for part in parts]
-        )
+    if plant is not None:
+        differences = np.concatenate([run_plant(plant, part) - part.q for part in log.parts()])
         coupled = tuple(map(float, rms(differences)))
     return MotionErrors(
         log=log.name, is_test=is_test, ideal=tuple(ideal), alone=tuple(alone), coupled=coupled

@@ -67,6 +67,7 @@ class CommandRun(Answer):
     def tables(self) -> Sequence[ResultTable | str]:
         """Return servos, laws and errors."""
         from cosim.report.tables.table import ResultTable, make_row
+        from cosim.servo.study import has_scale
         from hesr_model.friction.law import equations
 
         model = self.outcome.model
@@ -84,7 +85,7 @@ class CommandRun(Answer):
             *model.provenance["from_commands"],
             self._error_table("alone", "Position errors [mrad], each joint alone"),
         ]
-        if self.outcome.has_scale:
+        if has_scale(model):
             shown.append(self._error_table("coupled", "Position errors [mrad], whole plant"))
         shown.append(self._error_table("ideal", "Position errors [mrad] of ideal servos"))
         return [*shown, *finding_lines(self.findings)]

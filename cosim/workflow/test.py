@@ -358,9 +358,7 @@ def _add_motion_errors(
     from cosim.servo.study import compute_motion_errors
 
     motions = {
-        name: [
-            compute_motion_errors(model, checked.robot, log, is_test=True) for log in checked.logs
-        ]
+        name: compute_motion_errors(model, checked.robot, checked.logs, [True] * len(checked.logs))
         for name, model in models.items()
     }
     return replace(report, motions=motions, findings=checked.findings)

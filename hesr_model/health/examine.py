@@ -67,17 +67,8 @@ def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | N
     """
     if not all(log.has_torque for log in logs):
         return _examine_motion(logs, description, robot)
-    hypotheses: list[Hypothesis] = []
-    parts: list[SmoothPart] = []
-    for log in logs:
-        time_hypotheses = add_log_name(log, positions.check_time(log, description))
-        hypotheses += time_hypotheses
-        if any(hypothesis.severity == "error" for hypothesis in time_hypotheses):
-            continue
-        for check in (positions.check_jumps, positions.check_steps, efforts.check_raw_signals):
-            hypotheses += add_log_name(log, check(log, description))
-        parts += smooth_parts(log, description.log.filter_cutoff)
-    parts = find_rests(parts)
+    checks = (positions.check_jumps, positions.check_steps, efforts.check_raw_signals)
+    hypotheses, parts = _check_rows(logs, description, checks)
     # The acceleration of a guessed end may be wrong by all of it.
     measured_parts = [select_rows(part, part.is_measured) for part in parts]
     is_stated = description.known is None
@@ -103,14 +94,7 @@ def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | N
         for check_omission in (omissions.check_signs, omissions.check_integral):
             omission_hypotheses = check_omission(measured_parts[k], part_torques, description)
             hypotheses += add_log_name(part.log, omission_hypotheses)
-        hypotheses += add_log_name(
-            part.log,
-            check_velocity(part, description, broken_joints, coarse_joints, slides),
-        )
-        if robot and description.log.columns.q:
-            hypotheses += add_log_name(part.log, positions.check_limits(part, robot))
-            hypotheses += add_log_name(part.log, positions.check_sliding(part, robot))
-            hypotheses += add_log_name(part.log, efforts.check_speed(part, robot))
+        hypotheses += _check_motion(part, description, robot, broken_joints, coarse_joints, slides)
         hypotheses += add_log_name(part.log, positions.check_columns(part, description))
     hypotheses += _doubt_direction(parts, description)
     for j, joint in enumerate(description.joints):
@@ -171,10 +155,13 @@ def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | N
     )
 
 
-def _examine_motion(
-    logs: Sequence[Log], description: RobotDescription, robot: Robot | None
-) -> Examination:
-    """Check time, positions and velocities of logs without torque."""
+RowCheck = Callable[[Log, RobotDescription], Iterable[Hypothesis]]
+
+
+def _check_rows(
+    logs: Sequence[Log], description: RobotDescription, checks: Sequence[RowCheck]
+) -> tuple[list[Hypothesis], list[SmoothPart]]:
+    """Check the time of logs, then their rows; return the parts whose time is sound as well."""
     hypotheses: list[Hypothesis] = []
     parts: list[SmoothPart] = []
     for log in logs:
@@ -182,22 +169,40 @@ def _examine_motion(
         hypotheses += time_hypotheses
         if any(hypothesis.severity == "error" for hypothesis in time_hypotheses):
             continue
-        for check in (positions.check_jumps, positions.check_steps):
+        for check in checks:
             hypotheses += add_log_name(log, check(log, description))
         parts += smooth_parts(log, description.log.filter_cutoff)
-    parts = find_rests(parts)
+    return hypotheses, find_rests(parts)
+
+
+def _check_motion(
+    part: SmoothPart,
+    description: RobotDescription,
+    robot: Robot | None,
+    broken_joints: set[str],
+    coarse_joints: set[str],
+    slides: Sequence[bool],
+) -> list[Hypothesis]:
+    """Check velocities, and positions and speeds against the limits of the model."""
+    hypotheses = [*check_velocity(part, description, broken_joints, coarse_joints, slides)]
+    if robot and description.log.columns.q:
+        hypotheses += positions.check_limits(part, robot)
+        hypotheses += positions.check_sliding(part, robot)
+        hypotheses += efforts.check_speed(part, robot)
+    return add_log_name(part.log, hypotheses)
+
+
+def _examine_motion(
+    logs: Sequence[Log], description: RobotDescription, robot: Robot | None
+) -> Examination:
+    """Check time, positions and velocities of logs without torque."""
+    checks = (positions.check_jumps, positions.check_steps)
+    hypotheses, parts = _check_rows(logs, description, checks)
     broken_joints = _collect_joints(hypotheses, ("wrap", "spikes"))
     coarse_joints = _collect_joints(hypotheses, ("coarse",))
     slides = tuple(robot.slides) if robot else ()
     for part in parts:
-        velocity_hypotheses = check_velocity(
-            part, description, broken_joints, coarse_joints, slides
-        )
-        hypotheses += add_log_name(part.log, velocity_hypotheses)
-        if robot and description.log.columns.q:
-            hypotheses += add_log_name(part.log, positions.check_limits(part, robot))
-            hypotheses += add_log_name(part.log, positions.check_sliding(part, robot))
-            hypotheses += add_log_name(part.log, efforts.check_speed(part, robot))
+        hypotheses += _check_motion(part, description, robot, broken_joints, coarse_joints, slides)
     judgement = judge(hypotheses)
     return Examination(
         findings=tuple(merge_findings(judgement.findings)),
