@@ -49,6 +49,7 @@ from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support import parallel, plugins
 from hesr_model.support.arrays import Array
+from hesr_model.support.ledger import find_close_names, format_suggestion
 from hesr_model.support.progress import Progress, Stages, report_progress
 from hesr_model.support.typed_files import to_json, write_json
 
@@ -141,8 +142,10 @@ class Job:
         allowed = signature(estimator(law_name)).parameters
         unknown = [name for name in options if name not in allowed]
         if unknown:
+            hint = format_suggestion(find_close_names(unknown[0], allowed))
+            hint = hint or f"allowed here: {', '.join(allowed) or 'none'}."
             raise self._error(
-                f"unknown key '{key}.{unknown[0]}'; allowed here: {', '.join(allowed) or 'none'}.",
+                f"unknown key '{key}.{unknown[0]}'; {hint}",
                 code="key.unknown",
                 key=f"{key}.{unknown[0]}",
             )

@@ -8,8 +8,9 @@ from typing import Any
 
 from cosim.systems.system import Bounds, SystemSpec, Value
 from fmu_src.run.master import Element
-from fmu_src.run.variables import Variables, suggestion
+from fmu_src.run.variables import Variables
 from hesr_model.errors import ConfigError, SimulationError
+from hesr_model.support.ledger import find_close_names, format_suggestion
 
 _ACCEPTED_TYPES: Mapping[str, tuple[str, ...]] = {
     "Real": ("Real", "Float32", "Integer", "Boolean"),
@@ -69,7 +70,8 @@ class Wiring:
 
     def _require_component(self, name: str, where: str) -> None:
         if name not in self._slaves:
-            hint = suggestion(name, self._slaves, 1) or f"there are {', '.join(self._slaves)}."
+            hint = format_suggestion(find_close_names(name, self._slaves, 1))
+            hint = hint or f"there are {', '.join(self._slaves)}."
             raise self._error(
                 f"{where}: there is no component '{name}'; {hint}",
                 code="system.component",

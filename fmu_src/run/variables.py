@@ -8,7 +8,6 @@ import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
-from difflib import SequenceMatcher
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from fmpy.model_description import ModelDescription, read_model_description
 from fmu_src.run.archive import MAX_TEXT_BYTES, Archive
 from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.support.files import scratch_folder
+from hesr_model.support.ledger import find_close_names, format_suggestion
 from hesr_model.support.text import quote, sanitise
 
 DESCRIPTION = "modelDescription.xml"
@@ -37,7 +37,6 @@ _INDEX = re.compile(r"\[\d+(,\d+)*\]$")
 _CHOICE = re.compile(r"\b(\d+) = (\w+)")
 
 _MAX_VALUE_LENGTH = 40  # characters of a value in a message
-_MIN_SIMILARITY = 0.6  # similarity of names that are suggested
 _POSITION = 32  # lowest bit of an element's position in a reference
 _MAX_ELEMENTS = 100_000
 _BITS = (8, 16, 32, 64)
@@ -187,18 +186,6 @@ def _number(text: str) -> float:
     return float(text == "true") if text in ("true", "false") else float(text)
 
 
-def suggestion(name: str, candidates: Iterable[str], max_count: int) -> str:
-    """Return "did you mean a, b or c?" with the closest names first, or ""."""
-    shares = {other: SequenceMatcher(None, other, name).ratio() for other in candidates}
-    closest = sorted(
-        (o for o, s in shares.items() if s >= _MIN_SIMILARITY), key=lambda o: -shares[o]
-    )[:max_count]
-    if not closest:
-        return ""
-    *earlier, last = closest
-    return f"did you mean {', '.join(earlier)} or {last}?" if earlier else f"did you mean {last}?"
-
-
 def _items(variable: Any) -> dict[str, int]:
     """Return the values of an enumeration by name."""
     declared = variable.declaredType
@@ -222,12 +209,15 @@ class Variables:
         try:
             return self._by_name[name]
         except KeyError:
-            candidates = dict.fromkeys(
-                [*(_INDEX.sub("", n) for n in self._by_name), *self._by_name]
-            )
-            hint = suggestion(name, candidates, 3)
+            hint = format_suggestion(find_close_names(name, self.names))
             end = f"; {hint}" if hint else "."
             raise SimulationError(f"{self._fmu}: there is no variable '{name}'{end}") from None
+
+    @property
+    def names(self) -> list[str]:
+        """Names of vectors and of all variables."""
+        vectors = (_INDEX.sub("", name) for name in self._by_name)
+        return list(dict.fromkeys([*vectors, *self._by_name]))
 
     def elements(self, name: str) -> list[str]:
         """Return the variable of this name, or all elements of the vector of this name."""

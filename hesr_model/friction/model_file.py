@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, ValuesView
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 from pydantic import StrictBool
 
@@ -122,6 +122,11 @@ def _count_leaves(data: Any) -> int:
 @dataclass(frozen=True, kw_only=True)
 class ModelFile:
     """Keys of a file."""
+
+    IRRELEVANT_KEYS: ClassVar = {
+        "format": "it is checked before",
+        "joints.audit": "of version 1; certificates are computed anew for each law",
+    }
 
     law: str
     robot: str

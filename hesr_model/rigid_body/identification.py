@@ -112,7 +112,11 @@ class RigidBody:
         missing or invalid.
         """
         path = to_path(path, "a rigid body")
-        return from_json(cls, read_json(path, RIGID_BODY_FORMAT), path, "a rigid body")
+        data = read_json(path, RIGID_BODY_FORMAT)
+        # Version 1 has this key instead of `kind`.
+        if data.pop("physical", False) is True:
+            data["kind"] = "physical"
+        return from_json(cls, data, path, "a rigid body")
 
     def write(self, path: PathArg) -> None:
         """Write the rigid body as JSON, all digits; ArtifactError if the file cannot be written."""

@@ -2,11 +2,11 @@
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Self, TypeVar
+from typing import Annotated, Any, Self, TypeVar, get_args
 
 import numpy as np
 import pydantic
@@ -15,10 +15,18 @@ from pydantic import BaseModel, PlainSerializer, PlainValidator, TypeAdapter, Va
 from hesr_model.errors import ArtifactError, ConfigError, RuleError
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import written_whole
+from hesr_model.support.ledger import (
+    Ledger,
+    find_close_names,
+    format_suggestion,
+    join_key,
+    list_tables,
+)
 from hesr_model.support.text import (
     join_with_and,
     parse_json,
     parse_toml,
+    quote_names,
     read_text,
     require_printable,
 )
@@ -26,8 +34,18 @@ from hesr_model.support.text import (
 _MAX_SHOWN = 200  # characters
 _MISSING_KEY = "key.missing"
 _UNKNOWN_KEY = "key.unknown"
+_SAME_KEY = 0.75  # similarity of a key to the missing one that it was meant to be
 _CODES = {"missing": _MISSING_KEY, "unexpected_keyword_argument": _UNKNOWN_KEY}
 """Codes of pydantic's errors; the others are called ``value.`` and pydantic's own name."""
+
+
+class _UnknownKeyError(RuleError):
+    """A key is unknown; `close_keys` are allowed and resemble it."""
+
+    def __init__(self, key: str, allowed: Iterable[str]) -> None:
+        allowed_keys = ", ".join(sorted(allowed))
+        super().__init__(f"allowed here: {allowed_keys}.", code=_UNKNOWN_KEY, key=key)
+        self.close_keys = find_close_names(key, allowed)
 
 
 class Config(BaseModel):
@@ -41,8 +59,7 @@ class Config(BaseModel):
         """Refuse an unknown key before pydantic does, which does not name the known ones."""
         for key in data if isinstance(data, dict) else ():
             if key not in cls.model_fields:
-                allowed_keys = ", ".join(sorted(cls.model_fields))
-                raise RuleError(f"allowed here: {allowed_keys}", code=_UNKNOWN_KEY, key=str(key))
+                raise _UnknownKeyError(str(key), cls.model_fields)
         return data
 
     @classmethod
@@ -73,7 +90,7 @@ class Config(BaseModel):
         try:
             return cls.model_validate(data, context={"folder": path.parent})
         except ValidationError as error:
-            raise _build_refusal(path, error) from error
+            raise _build_refusal(path, error, cls) from error
         except RecursionError as error:
             sentence = f"{path}: it is nested too deeply."
             raise ConfigError(sentence, code="file.nesting", where=path) from error
@@ -97,6 +114,7 @@ class _BrokenRule:
     place: str
     key: str
     reason: str
+    close_keys: tuple[str, ...] = ()
 
 
 def _describe_problem(details: Any) -> _BrokenRule:
@@ -105,19 +123,22 @@ def _describe_problem(details: Any) -> _BrokenRule:
     place = ".".join(map(str, details["loc"]))
     rule = details.get("ctx", {}).get("error")
     if isinstance(rule, RuleError):
-        return _BrokenRule(rule.code, place, ".".join(filter(None, (place, rule.key))), reason)
+        close_keys = [join_key(place, key) for key in getattr(rule, "close_keys", ())]
+        return _BrokenRule(rule.code, place, join_key(place, rule.key), reason, tuple(close_keys))
     code = _CODES.get(details["type"], f"value.{details['type']}")
     return _BrokenRule(code, place, place, reason)
 
 
-def _build_refusal(path: Path, error: ValidationError) -> ConfigError:
+def _build_refusal(path: Path, error: ValidationError, schema: type[Config]) -> ConfigError:
     problems = error.errors()
     # An unknown key is often the misspelt name of one that is missing.
     unknown = [details for details in problems if _describe_problem(details).code == _UNKNOWN_KEY]
     details = unknown[0] if unknown else problems[0]
     problem = _describe_problem(details)
     if unknown:
-        sentence = f"unknown key '{problem.key}'; {problem.reason}."
+        name = problem.key.rpartition(".")[2]
+        meant = dict.fromkeys([*problem.close_keys, *_find_homes(schema, name)])
+        sentence = f"unknown key '{problem.key}'; {format_suggestion([*meant]) or problem.reason}"
     elif problem.code == _MISSING_KEY:
         sentence = _report_missing_keys(problems)
     elif isinstance(details["input"], dict):
@@ -126,6 +147,24 @@ def _build_refusal(path: Path, error: ValidationError) -> ConfigError:
     else:
         sentence = f"key '{problem.place}' is {_shorten(details['input'])}: {problem.reason}."
     return ConfigError(f"{path}: {sentence}", code=problem.code, where=path, key=problem.key)
+
+
+def _find_homes(schema: type[Config], name: str, place: str = "") -> Iterator[str]:
+    """Yield the places of a key in a schema and its tables."""
+    if name in schema.model_fields:
+        yield join_key(place, name)
+    for key, field in schema.model_fields.items():
+        tables = list(_find_schemas(field.annotation))
+        # Which of several kinds of tables is meant is not known.
+        if len(tables) == 1:
+            yield from _find_homes(tables[0], name, join_key(place, key))
+
+
+def _find_schemas(annotation: Any) -> Iterator[type[Config]]:
+    if isinstance(annotation, type) and issubclass(annotation, Config):
+        yield annotation
+    for inner in get_args(annotation):
+        yield from _find_schemas(inner)
 
 
 def _report_missing_keys(problems: Sequence[Any]) -> str:
@@ -211,21 +250,43 @@ def to_json(value: Any, *, sparse: bool = False) -> Any:
 
 
 def from_json(kind: type[Kind], data: Any, path: Path, subject: str) -> Kind:
-    """Return the data class `kind` of JSON data; raises ArtifactError."""
+    """Return the data class `kind` of JSON data; raises ArtifactError.
+
+    `IRRELEVANT_KEYS` of the class are reasons by place, without the numbers of entries in lists.
+    """
     schema: Any = kind
     try:
         valid: Kind = _get_adapter(schema).validate_python(data)
     except ValidationError as error:
-        raise _build_json_refusal(error, path, subject) from error
+        raise _build_json_refusal(error, data, path, subject) from error
     except ArtifactError as error:
         raise error.add_place(path) from error
+    ledger = Ledger(str(path), "key")
+    ledger.compare_data(
+        data, _get_adapter(schema).dump_python(valid), getattr(kind, "IRRELEVANT_KEYS", {})
+    )
+    ledger.require_nothing_meant(ArtifactError)
     return valid
 
 
-def _build_json_refusal(error: ValidationError, path: Path, subject: str) -> ArtifactError:
+def _find_similar(data: Any, key: str) -> list[str]:
+    """Return the keys of a table that resemble a missing one, and its places in other tables."""
+    place, _, name = key.rpartition(".")
+    tables = list_tables(data)
+    siblings = find_close_names(name, tables.get(place, ()), cutoff=_SAME_KEY)
+    if siblings:
+        return [join_key(place, sibling) for sibling in siblings]
+    return [join_key(home, name) for home, keys in tables.items() if name in keys]
+
+
+def _build_json_refusal(
+    error: ValidationError, data: Any, path: Path, subject: str
+) -> ArtifactError:
     problem = _describe_problem(error.errors()[0])
     if problem.code == _MISSING_KEY:
-        sentence = f"key '{problem.key}' is missing."
+        similar = _find_similar(data, problem.key)
+        hint = f"; there is {quote_names(similar)}" if similar else ""
+        sentence = f"key '{problem.key}' is missing{hint}."
     elif problem.code == _UNKNOWN_KEY:
         sentence = f"not {subject} (unknown key '{problem.key}')."
     elif problem.place:

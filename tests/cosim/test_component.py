@@ -100,7 +100,7 @@ def test_unknown_variables_are_refused(friction_fmu):
         with pytest.raises(SimulationError) as caught:
             friction.get(["tau[9]"])
         assert str(caught.value).endswith(
-            "there is no variable 'tau[9]'; did you mean tau[1], tau[2] or tau[3]?"
+            "there is no variable 'tau[9]'; did you mean 'tau[1]', 'tau[2]' or 'tau[3]'?"
         )
         with pytest.raises(SimulationError, match="'discretisation' is not a Real"):
             friction.buffer(["discretisation"])

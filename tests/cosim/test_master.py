@@ -492,7 +492,7 @@ MANY = "".join(f'name = "c{k}"\nfmu = "B.fmu"\n\n[[components]]\n' for k in rang
         ('name = "b"', f'{MANY}name = "b"', "at most 1000 items after validation"),
         ("step = 0.1", "step = 0.0", "key 'step' is 0.0: Input should be greater than 0."),
         ("stop = 1.0", 'stop = 1.0\norder = "random"', "key 'order' is 'random': Input should be"),
-        ("stop = 1.0", "stop = 1.0\nstopp = 2.0", "unknown key 'stopp'; allowed here: begin,"),
+        ("stop = 1.0", "stop = 1.0\nstopp = 2.0", "unknown key 'stopp'; did you mean 'stop'"),
         ("stop = 1.0", 'stop = 1.0\nobserve = ["a"]', "key 'observe.0' is 'a'"),
         (
             "stop = 1.0",

@@ -134,7 +134,7 @@ HEAD = 'name = "x"\nrobot = "r.toml"\n'
         (f'name = "../x"\nrobot = "r.toml"\n{LOGS}', "key 'name' is '../x'"),
         (f'name = ""\nrobot = "r.toml"\n{LOGS}', "key 'name' is ''"),
         (f"{HEAD}seed = -1\n{LOGS}", "key 'seed' is -1"),
-        (f"{HEAD}sead = 1\n{LOGS}", "unknown key 'sead'; allowed here: bands, "),
+        (f"{HEAD}sead = 1\n{LOGS}", "unknown key 'sead'; did you mean 'seed'"),
         (f'{HEAD}laws = "lugre"\n{LOGS}', "key 'laws' is 'lugre'"),
         (f"{HEAD}options = 3\n{LOGS}", "key 'options' is 3"),
         (f"{HEAD}{LOGS}[variants.a]\noptions = {{}}", "key 'variants.a.law' is missing"),

@@ -278,7 +278,7 @@ def test_the_command_summarises_and_replays(study: Path, tmp_path: Path, monkeyp
         ('"monte_carlo"', '"grid"', "grid determines the number of runs"),
         ("start = 0.2", "start = 2.0", "output 'difference' starts at 2 s"),
         ('"b.y"\nmeasure = "max"', '"b.z"\nmeasure = "max"', "observed 'b.z'"),
-        ("seed = 3", "sed = 3", "unknown key 'sed'; allowed here: chunk,"),
+        ("seed = 3", "sed = 3", "unknown key 'sed'; did you mean 'seed'"),
     ],
 )
 def test_invalid_studies_are_refused(

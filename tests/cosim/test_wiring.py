@@ -94,16 +94,17 @@ def test_values_are_ordered_by_dependency():
         (
             {"amr.dq_cmd": "controller.dq_cmd"},
             "connection 'amr.dq_cmd' = 'controller.dq_cmd': there is no component 'amr'; did you "
-            "mean arm?",
+            "mean 'arm'?",
         ),
         ({"controller.q": "gear.q"}, "there is no component 'gear'; there are arm, controller."),
         (
             {"arm.dq_cdm": "controller.dq_cmd"},
-            "arm.fmu: there is no variable 'dq_cdm'; did you mean dq_cmd, dq_cmd[1] or dq_cmd[2]?",
+            "arm.fmu: there is no variable 'dq_cdm'; did you mean 'dq_cmd', 'dq_cmd[1]' or "
+            "'dq_cmd[2]'?",
         ),
         (
             {"controller.q[3]": "arm.q[1]"},
-            "controller.fmu: there is no variable 'q[3]'; did you mean q[1] or q[2]?",
+            "controller.fmu: there is no variable 'q[3]'; did you mean 'q[1]' or 'q[2]'?",
         ),
         ({"controller.tau": "arm.tau"}, "'controller.tau' has 1 element, 'arm.tau' has 2."),
         (
@@ -163,7 +164,7 @@ def test_algebraic_loops_are_refused():
 @pytest.mark.parametrize(
     ("start", "said"),
     [
-        ({"moed": 1.0}, "controller.fmu: there is no variable 'moed'; did you mean mode?"),
+        ({"moed": 1.0}, "controller.fmu: there is no variable 'moed'; did you mean 'mode'?"),
         ({"q": [1.0, 2.0, 3.0]}, "controller.fmu: 'q' has 2 elements; 3 values are given."),
         ({"Kp": [1.0, 2.0]}, "controller.fmu: 'Kp' has 1 element; 2 values are given."),
         ({"mode": "quick"}, "'mode' cannot be 'quick'; it must be one of slow, fast."),

@@ -35,8 +35,10 @@ from hesr.extras.ssp.ssp_graph import (
     read_transformation,
     safe_names,
 )
+from hesr.extras.ssp.vocabulary import IRRELEVANT, USED
 from hesr_model.errors import ArgumentError, ConfigError, SimulationError
 from hesr_model.support.files import scratch_folder
+from hesr_model.support.ledger import Ledger
 
 _PREFIXES = {key.removeprefix("xmlns:"): uri for key, uri in NAMESPACES.items()}
 _PREFIXES["ssm"] = _PREFIXES["ssv"].replace("Values", "Mapping")
@@ -84,6 +86,10 @@ class _Reader:
     steps: dict[ElementPath, str] = field(default_factory=dict)  # [s] of components
     start_values: dict[ElementPath, dict[str, Any]] = field(default_factory=dict)
     element_paths: list[ElementPath] = field(default_factory=list)
+    parameters: Ledger = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "parameters", Ledger(str(self.path), "parameter"))
 
     def build_error(self, text: str) -> ConfigError:
         return ConfigError(f"{self.path}: {text}")
@@ -99,9 +105,13 @@ class _Reader:
 
     def parse_member(self, name: str, where: str = "") -> ET.Element:
         try:
-            return ET.fromstring(self.read_member(name, where, MAX_TEXT_BYTES))
+            root = ET.fromstring(self.read_member(name, where, MAX_TEXT_BYTES))
         except (ET.ParseError, LookupError, ValueError) as error:  # or an unknown encoding
             raise self.build_error(f"{where}{name} is not valid XML ({error}).") from error
+        ledger = Ledger(f"{self.path}: {name}", "part")
+        ledger.compare_elements(root, USED, IRRELEVANT)
+        ledger.require_nothing_meant()
+        return root
 
     def read_attribute(self, node: ET.Element, name: str, where: str) -> str:
         value = node.get(name)
@@ -124,6 +134,7 @@ class _Reader:
             system, (), read_units(_find_elements(root, "ssd:Units/ssc:Unit"), where)
         )
         self.apply_parameters(system, ())
+        self.parameters.require_nothing_meant()
         for name, value in start_values.items():
             if not self.assign((), name, ParameterValue(value=value)):
                 raise ArgumentError(
@@ -346,25 +357,67 @@ class _Reader:
             if binding.get("sourceBase") == "component":
                 raise self.build_refusal(f"{where}: a parameter source inside an FMU is")
             source = binding.get("source")
-            prefix = binding.get("prefix", "")
             parameter_sets = (
                 _find_elements(binding, "ssd:ParameterValues/ssv:ParameterSet")
                 if source is None
                 else [self.parse_member(source, f"{where}: ")]
             )
+            values = self.read_values(parameter_sets, binding.get("prefix", ""), where)
             mapping = self.read_mapping(binding, where)
-            for parameter_set in parameter_sets:
-                units = read_units(
-                    _find_elements(parameter_set, "ssv:Units/ssc:Unit"), f"{self.path}: {where}"
-                )
-                for parameter in _find_elements(parameter_set, "ssv:Parameters/ssv:Parameter"):
-                    name = self.read_attribute(parameter, "name", f"{where}: a parameter")
-                    value = self.read_value(parameter, units, f"{where}: parameter '{name}'")
-                    if mapping is None:
-                        self.assign(element_path, prefix + name, value)
-                        continue
-                    for target, conversion_options in mapping.get(prefix + name, ()):
-                        self.assign(element_path, target, replace(value, **conversion_options))
+            if mapping is not None:
+                names = [name for name, _ in values]
+                self.parameters.compare(f"the values of {where}", mapping, names)
+                self.parameters.compare(f"the mapping of {where}", names, mapping)
+                values = [
+                    (target, replace(value, **conversion_options))
+                    for name, value in values
+                    for target, conversion_options in mapping.get(name, ())
+                ]
+            self.assign_all(element_path, values, where)
+
+    def read_values(
+        self, parameter_sets: list[ET.Element], prefix: str, where: str
+    ) -> list[tuple[str, ParameterValue]]:
+        """Return names with a prefix, and values, in the order of the file."""
+        values = []
+        for parameter_set in parameter_sets:
+            units = read_units(
+                _find_elements(parameter_set, "ssv:Units/ssc:Unit"), f"{self.path}: {where}"
+            )
+            for parameter in _find_elements(parameter_set, "ssv:Parameters/ssv:Parameter"):
+                name = self.read_attribute(parameter, "name", f"{where}: a parameter")
+                value = self.read_value(parameter, units, f"{where}: parameter '{name}'")
+                values.append((prefix + name, value))
+        return values
+
+    def assign_all(
+        self, element_path: ElementPath, values: list[tuple[str, ParameterValue]], where: str
+    ) -> None:
+        """Set parameters below an element, and record the names that nothing has."""
+        assigned = [name for name, value in values if self.assign(element_path, name, value)]
+        names = [name for name, _ in values]
+        if len(assigned) < len(names):
+            known = [*assigned, *self.list_parameters(element_path)]
+            homes = {
+                ".".join(inner_path): variables.names
+                for inner_path, variables in self.graph.variables.items()
+                if inner_path != element_path
+            }
+            self.parameters.compare(where, names, known, homes)
+
+    def list_parameters(self, outer_path: ElementPath) -> Iterator[str]:
+        """Yield the hierarchical names of what can be set below an element."""
+        for inner_path in self.element_paths:
+            if inner_path[: len(outer_path)] != outer_path:
+                continue
+            prefix = "".join(f"{name}." for name in inner_path[len(outer_path) :])
+            variables = self.graph.variables.get(inner_path)
+            names = (
+                [name for node, name in self.graph.kinds if node == inner_path]
+                if variables is None
+                else variables.names
+            )
+            yield from (f"{prefix}{name}" for name in names)
 
     def read_mapping(
         self, binding: ET.Element, where: str
@@ -372,6 +425,8 @@ class _Reader:
         node = _find_element(binding, "ssd:ParameterMapping")
         if node is None:
             return None
+        if node.get("sourceBase") == "component":
+            raise self.build_refusal(f"{where}: a parameter mapping inside an FMU is")
         source = node.get("source")
         targets_by_name: dict[str, list[tuple[str, dict[str, Any]]]] = {}
         root = node if source is None else self.parse_member(source, f"{where}: ")

@@ -97,7 +97,7 @@ TOML = [
      "component 'friction': {folder}/open.toml: not a readable FMU (File is not a zip file)."),
     ('"friction.q" = ', '"friktion.q" = ',
      "connection 'friktion.q' = 'trajectory.q': there is no component 'friktion'; did you mean "
-     "friction?"),
+     "'friction'?"),
     ('"trajectory.q"\n', '"trajectory.p"\n',
      "connection 'friction.q' = 'trajectory.p': {folder}/Trajectory.fmu: there is no variable "
      "'p'."),
@@ -178,14 +178,15 @@ SSP: list[tuple[dict[str, Any], str]] = [
     ({"changes": [("</ssd:System>", "")]},
      "SystemStructure.ssd is not valid XML (mismatched tag: line {line}, column 2)."),
     ({"changes": [("ssd:System ", "ssd:Sytem "), ("</ssd:System>", "</ssd:Sytem>")]},
-     "SystemStructure.ssd contains no system."),
+     "SystemStructure.ssd: 'Sytem' is no part of <SystemStructureDescription>; did you mean "
+     "'System'?"),
     ({"changes": [(' stopTime="10.0"', "")]},
      "default experiment has no stopTime"),
     ({"changes": [("stopTime=\"10.0\"", "stopTime=\"late\"")]},
      "SystemStructure.ssd: stopTime is 'late'; it must be a number."),
     ({"changes": [('endConnector="dq[2]"', 'endConnector="dp[2]"')]},
      "connection 'friction.dp[2]' = 'trajectory.dq[2]': {fmu}: there is no variable 'dp[2]'; did "
-     "you mean dq[2], "),
+     "you mean 'dq[2]', "),
     ({"changes": [('startElement="trajectory" startConnector="dq[2]"', 'startConnector="dq[2]"')]},
      "connection of 'dq[2]': the system"),
     ({"changes": [('endConnector="dq[2]" />', 'endConnector="dq[2]">'
