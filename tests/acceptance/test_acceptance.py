@@ -39,7 +39,7 @@ from fmu_src.run.fmu import FmuInstance
 from hesr.extras.modelica.modelica_package import export_modelica
 from hesr_model.friction.model import FrictionModel
 
-GATE = 24
+GATE = 12
 """Cells of the gate."""
 
 COMPILERS = (("gcc", "clang++"), ("clang", "g++"))

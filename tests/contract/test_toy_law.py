@@ -99,28 +99,30 @@ def test_the_law_is_listed(site: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.ci
-def test_the_command_line_fits_and_exports_the_law(site: Path, results: Path) -> None:
-    folder = results.parent
+def test_the_command_line_fits_and_exports_the_law(
+    site: Path, small_results: Path, tmp_path: Path
+) -> None:
+    """From the log and the body of a run without the law."""
     said = hesr(
         site,
         "fit",
-        "results/logs/excitation.csv",
+        small_results / "logs" / "excitation.csv",
         "--robot",
         UF850 / "robot.toml",
         "--rigid-body",
-        "results/rigid_body.json",
+        small_results / "rigid_body.json",
         "--law",
         LAW,
         "-o",
         "law.json",
-        cwd=folder,
+        cwd=tmp_path,
     )
     assert f"{LAW} for joint1, joint2, joint3" in said
     assert "Passivity: proven on joint1, joint2, joint3." in said
-    hesr(site, "export", "law.json", "-o", "law.fmu", cwd=folder)
-    assert "no finding" in hesr(site, "check", "law.fmu", cwd=folder)
-    hesr(site, "export", "law.json", "--format", "modelica", "-o", "Law.mo", cwd=folder)
-    assert "tanh(" in (folder / "Law.mo").read_text(encoding="utf-8")
+    hesr(site, "export", "law.json", "-o", "law.fmu", cwd=tmp_path)
+    assert "no finding" in hesr(site, "check", "law.fmu", cwd=tmp_path)
+    hesr(site, "export", "law.json", "--format", "modelica", "-o", "Law.mo", cwd=tmp_path)
+    assert "tanh(" in (tmp_path / "Law.mo").read_text(encoding="utf-8")
 
 
 @pytest.mark.ci

@@ -78,7 +78,16 @@ def run_cells(cells: list[str], folder: Path) -> list[str]:
 
 
 @pytest.mark.ci
-def test_a_notebook_defines_fits_tests_and_exports_its_law(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "studies",
+    [
+        pytest.param([], id="alone"),
+        pytest.param([STUDY], id="in a study", marks=pytest.mark.nightly("studies")),
+    ],
+)
+def test_a_notebook_defines_fits_tests_and_exports_its_law(
+    studies: list[str], tmp_path: Path
+) -> None:
     law = block("add-a-law.md", "python")
     without_unit = law.replace('unit="rad/s", ', "")
     without_width = law.replace('bounds=(("width", (1e-4, 1.0)),)', "bounds=()")
@@ -97,7 +106,7 @@ def test_a_notebook_defines_fits_tests_and_exports_its_law(tmp_path: Path) -> No
             FIT.format(law="'smooth_coulomb'"),
             FIT.format(law="SmoothCoulomb"),
             USE,
-            STUDY,
+            *studies,
         ],
         tmp_path,
     )
@@ -106,4 +115,5 @@ def test_a_notebook_defines_fits_tests_and_exports_its_law(tmp_path: Path) -> No
     assert printed[4] == "smooth_coulomb F_c width"
     assert printed[6] == printed[7] == "smooth_coulomb F_c width sigma_2"
     assert printed[8] == "True ['smooth_coulomb'] True\nTrue"
-    assert printed[9].endswith("smooth_coulomb")
+    assert all(text.endswith("smooth_coulomb") for text in printed[9:])
+    assert len(printed) == 9 + len(studies)

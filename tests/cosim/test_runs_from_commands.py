@@ -25,9 +25,9 @@ def cli(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> 
     return hesr_here(capsys, monkeypatch)
 
 
-def write_study(folder: Path, **options: object) -> HobbyServo:
+def write_study(folder: Path, *, seconds: float = 30.0, **options: object) -> HobbyServo:
     """Write a study whose test log is the second half of a draw."""
-    draw = draw_hobby_servo(folder, 3, rate=100.0, seconds=30.0, **options)
+    draw = draw_hobby_servo(folder, 3, rate=100.0, seconds=seconds, **options)
     lines = draw.write_log(folder / "log.csv").read_text().splitlines()
     half = len(lines) // 2
     (folder / "train.csv").write_text("\n".join(lines[:half]))
@@ -95,9 +95,10 @@ def test_seeds_are_refused(tmp_path: Path, cli: Hesr) -> None:
 
 
 @pytest.mark.ci
+@pytest.mark.parametrize("seconds", [15.0, 30.0])
 @pytest.mark.parametrize("law", ["coulomb_viscous", "stribeck"])
-def test_the_true_law_is_chosen(tmp_path: Path, law: str) -> None:
-    write_study(tmp_path, law_name=law)
+def test_the_true_law_is_chosen(tmp_path: Path, law: str, seconds: float) -> None:
+    write_study(tmp_path, law_name=law, seconds=seconds)
     model = hesr.fit(tmp_path / "log.csv", robot=tmp_path / "robot.toml", law="choose")
     assert model.law == law
     assert model.provenance["choose"]

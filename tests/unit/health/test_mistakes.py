@@ -1,12 +1,13 @@
 """Every mistake in a robot file is reported with joint and likely cause; clean logs pass."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from _pytest.mark.structures import ParameterSet
 from numpy.typing import NDArray
 
 from hesr_model.errors import ConfigError
@@ -287,8 +288,16 @@ REMAINS = {
 }
 
 
+def select_mistakes() -> Iterator[ParameterSet]:
+    """Yield mistakes as parameters of a test: the first of each check in every gate."""
+    firsts = {check: what for what, (_, check, _, _) in reversed(MISTAKES.items())}
+    for what in MISTAKES:
+        in_gate = what in firsts.values() or what in REMAINS
+        yield pytest.param(what, marks=() if in_gate else pytest.mark.nightly("studies"))
+
+
 @pytest.mark.ci
-@pytest.mark.parametrize("what", MISTAKES)
+@pytest.mark.parametrize("what", list(select_mistakes()))
 def test_a_remedy_is_offered_only_where_it_helps(
     what: str, log: Log, arm_model: Robot, tmp_path: Path
 ) -> None:
