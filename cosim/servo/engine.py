@@ -102,7 +102,7 @@ class JointEngine:
         return positions
 
 
-def _find_first_speed(record: ServoRecord) -> float:
+def find_first_speed(record: ServoRecord) -> float:
     """Return the speed at the first row; 0 if the first positions allow it.
 
     Smoothed speeds are least known at the ends of a log, and most logs begin at rest.
@@ -128,7 +128,7 @@ def _starts(record: ServoRecord, servo: JointServo, substep: float) -> dict[str,
     """Return the start values of a run; a joint that hardly moves starts at rest."""
     return {
         "q_start[1]": float(record.q[0]),
-        "dq_start[1]": _find_first_speed(record),
+        "dq_start[1]": find_first_speed(record),
         "servo_kp[1]": servo.kp,
         "servo_ki[1]": servo.ki,
         "servo_kv[1]": servo.kd,

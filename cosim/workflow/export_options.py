@@ -28,10 +28,10 @@ class ExportOptions(TypedDict, total=False):
     """drive: Turns of the motor per turn of the joint; by default 1."""
     rigid_body: BodyArg
     """drive: Result of 'hesr identify' with inertia, stiffness and damping of elastic gears.
-    isaaclab, mjcf-joint and urdf-dynamics: Result of 'hesr identify' for 'robot', which
-    separates friction from the torque of logs; by default that of a law fitted in Python.
-    observer and plant: Result of 'hesr identify' for 'robot'; by default the parameters of the
-    model file."""
+    isaaclab, mjcf-joint, newton, sdf-dynamics and urdf-dynamics: Result of 'hesr identify' for
+    'robot', which separates friction from the torque of logs; by default that of a law fitted
+    in Python. observer and plant: Result of 'hesr identify' for 'robot'; by default the
+    parameters of the model file."""
     properties: bool
     """fmu: Run the physics checks and add their table to the pages."""
     power: bool
@@ -45,18 +45,27 @@ class ExportOptions(TypedDict, total=False):
     """fmu: No event indicators in model exchange; where a law jumps at reversals, the jump is a
     steep line below 0.001 rad/s."""
     robot: RobotArg
-    """isaaclab, mjcf-joint, observer, plant and urdf-dynamics: The robot of the law."""
+    """isaaclab, mjcf-joint, newton, observer, plant, sdf-dynamics and urdf-dynamics: The robot
+    of the law."""
     log: LogArg | Iterable[LogArg]
-    """isaaclab, mjcf-joint and urdf-dynamics: Logs at whose speeds and loads the numbers hold;
-    as a rule those of the fit."""
+    """isaaclab, mjcf-joint, newton, sdf-dynamics and urdf-dynamics: Logs at whose speeds and
+    loads the numbers hold; as a rule those of the fit."""
     test_log: LogArg | Iterable[LogArg]
-    """isaaclab, mjcf-joint and urdf-dynamics: Logs that decide on the price of the numbers; by
-    default those of 'log'."""
+    """isaaclab, mjcf-joint, newton, sdf-dynamics and urdf-dynamics: Logs that decide on the
+    price of the numbers; by default those of 'log'."""
     weight: Literal["rows", "power"]
-    """isaaclab, mjcf-joint and urdf-dynamics: Equal weights of rows, or their speeds, which
-    keep the dissipated energy."""
+    """isaaclab, mjcf-joint, newton, sdf-dynamics and urdf-dynamics: Equal weights of rows, or
+    their speeds, which keep the dissipated energy."""
+    kp: PerJoint
+    """isaaclab, mjcf-joint, newton, sdf-dynamics and urdf-dynamics: Gains of servos, to state
+    the price in positions as well; by default those of the robot file, or those that were
+    fitted to commands.  [N.m/rad] plant: Gains of a position command of the servo; by default
+    it has only a speed command.  [1/s]"""
     project: bool
     """mjcf: Approximate a law that MuJoCo cannot express exactly."""
+    into: PathArg
+    """mjcf-joint, sdf-dynamics and urdf-dynamics: Your model; a copy with the numbers is
+    written, with all else byte for byte."""
     calibration: LogArg | Iterable[LogArg]
     """observer: Logs without contact that the law was not fitted to, or results of 'hesr run'
     for its test logs, which determine limits and threshold; repeatable; by default those follow
@@ -70,9 +79,6 @@ class ExportOptions(TypedDict, total=False):
     [N.m.s/rad]"""
     ki: PerJoint
     """plant: Integral gains of the servo; by default 0.  [N.m/rad]"""
-    kp: PerJoint
-    """plant: Gains of a position command of the servo; by default it has only a speed command.
-    [1/s]"""
     tool: bool
     """plant: Add the pose of the last joint's frame as outputs."""
     signals: PathArg

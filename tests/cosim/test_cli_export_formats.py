@@ -173,7 +173,7 @@ def test_properties_are_in_the_pages_of_the_fmu(hesr, tmp_path):
         ),
         (
             ["--robot", "robot.toml", "-o", "F.fmu"],
-            "--robot needs --format isaaclab, mjcf-joint, observer",
+            "--robot needs --format isaaclab, mjcf-joint, newton, observer",
         ),
         (
             ["--format", "plant", "--robot", "robot.toml", "-o", "F.fmu"],
@@ -195,7 +195,7 @@ def test_only_formats_of_a_robot_take_a_robot(hesr, study_run, tmp_path, monkeyp
     for format_ in ("fmu", "drive", "adaptive"):
         answer = hesr("export", TABLE_1, *body, "--format", format_, "-o", "F.fmu")
         assert answer.code == 2
-        assert "--robot needs --format isaaclab, mjcf-joint, observer" in answer.err
+        assert "--robot needs --format isaaclab, mjcf-joint, newton, observer" in answer.err
         assert f"the format is '{format_}'." in answer.err
         assert not list(tmp_path.iterdir())
 

@@ -98,6 +98,7 @@ USES: dict[str, tuple[Use, ...]] = {
             "rigid_body": "{body}",
             "log": "{log}",
             "test_log": "{trial}",
+            "into": "{mjcf}",
         },
         {
             "source": "{law}",

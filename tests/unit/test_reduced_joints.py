@@ -3,6 +3,7 @@
 import ast
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree as ET
 
@@ -12,12 +13,24 @@ import pytest
 from joint_data import along, law, path
 
 import hesr
-from hesr.extras.reduction.creep import DEFAULT_SOLREF, SOLREF, simulate_creep
-from hesr.extras.reduction.formats import compose_isaaclab, compose_mjcf, compose_urdf
+from hesr.extras.reduction.formats import (
+    ISAACLAB,
+    MJCF_JOINT,
+    NEWTON,
+    SDF_DYNAMICS,
+    URDF_DYNAMICS,
+    compose_isaaclab,
+    compose_mjcf,
+    compose_newton,
+    compose_sdf,
+    compose_urdf,
+)
 from hesr.extras.reduction.projection import ReducedJoint, project, reduce_model
+from hesr.extras.reduction.soft_friction import DEFAULT_SOLREF, SOLREF, simulate_creep
 from hesr_model.errors import ExportError
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.servo import JointServo
 from hesr_model.rigid_body.residual import find_resting_speed
 from hesr_model.support.files import models_folder
 
@@ -111,7 +124,7 @@ def test_mujoco_creeps_less_with_the_written_constant() -> None:
     joint = JOINTS[0]
     speeds = [simulate_creep(joint, solref=solref) for solref in (SOLREF, DEFAULT_SOLREF)]
     assert 0.0 < speeds[0] < 0.5 * speeds[1]
-    assert f"{joint.name}: {speeds[0]:.2g} rad/s" in compose_mjcf(JOINTS, COMMENTS)
+    assert f"{joint.name}: {speeds[0]:.2g} rad/s" in " ".join(MJCF_JOINT.describe(JOINTS))
 
 
 def test_a_urdf_has_the_numbers() -> None:
@@ -138,6 +151,69 @@ def test_isaac_lab_has_the_numbers() -> None:
     for joint in JOINTS:
         assert fields["friction"][joint.name] == pytest.approx(joint.frictionloss, rel=1e-5)
         assert fields["viscous_friction"][joint.name] == pytest.approx(joint.damping, rel=1e-5)
+
+
+def test_an_sdf_has_the_numbers() -> None:
+    root = ET.fromstring(compose_sdf(JOINTS, COMMENTS))
+    found = {joint.get("name"): joint.find("axis/dynamics") for joint in root.iter("joint")}
+    for joint in JOINTS:
+        dynamics = found[joint.name]
+        assert float(dynamics.findtext("friction")) == pytest.approx(joint.frictionloss, rel=1e-5)
+        assert float(dynamics.findtext("damping")) == pytest.approx(joint.damping, rel=1e-5)
+
+
+SERVO = JointServo(kp=20.0, kd=1.5, torque_limit=3.0, latency=0.011, command_filter=0.05)
+
+
+def test_newton_has_the_numbers() -> None:
+    """The module runs on a builder's lists: two joints behind a free one of six."""
+    namespace: dict[str, Any] = {}
+    served = [replace(JOINTS[0], servo=SERVO), JOINTS[1]]
+    exec(compose_newton(served, COMMENTS), namespace)
+    names = ("friction", "damping", "armature", "target_ke", "target_kd", "effort_limit")
+    lists = {f"joint_{name}": [0.0] * 8 for name in names}
+    builder = SimpleNamespace(
+        joint_label=["base", "arm/shoulder", "lift"], joint_qd_start=[0, 6, 7], **lists
+    )
+    namespace["set_numbers"](builder)
+    assert builder.joint_friction[6:] == pytest.approx(
+        [joint.frictionloss for joint in JOINTS], rel=1e-5
+    )
+    assert builder.joint_damping[6:] == pytest.approx([joint.damping for joint in JOINTS], rel=1e-5)
+    assert builder.joint_armature == [0.0] * 6 + [0.25, 0.0]
+    assert builder.joint_target_ke == [0.0] * 6 + [20.0, 0.0]
+    assert builder.joint_effort_limit[6] == 3.0
+    builder.joint_label[0] = "other/lift"
+    with pytest.raises(ValueError, match="2 joints have the name 'lift'"):
+        namespace["set_numbers"](builder)
+
+
+def test_a_fitted_servo_is_written() -> None:
+    joint = replace(JOINTS[0], servo=SERVO)
+    root = ET.fromstring(compose_mjcf([joint], COMMENTS))
+    assert root.find("actuator/position").attrib == {
+        "joint": "shoulder",
+        "kp": "20",
+        "kv": "1.5",
+        "forcelimited": "true",
+        "forcerange": "-3 3",
+        "timeconst": "0.05",
+    }
+    code = compose_isaaclab([joint], COMMENTS)
+    for part in ("stiffness={", "damping={", "effort_limit_sim={"):
+        assert part in code
+
+
+def test_each_format_says_what_it_lacks() -> None:
+    joints = [replace(JOINTS[0], servo=SERVO), JOINTS[1]]
+    for text_format, part in (
+        (URDF_DYNAMICS, "has no armature"),
+        (SDF_DYNAMICS, "has no servo"),
+        (ISAACLAB, "was not run here"),
+        (NEWTON, "Newton 1.3 and newer"),
+    ):
+        assert part in " ".join(text_format.describe(joints))
+    assert "lift" in next(NEWTON.describe(joints))  # its armature is not separated
 
 
 @pytest.mark.ci

@@ -1,4 +1,4 @@
-"""Export formats `mjcf-joint`, `urdf-dynamics` and `isaaclab`: numbers per joint for simulators."""
+"""Export formats with numbers per joint, for MuJoCo, URDF, SDF, Isaac Lab and Newton."""
 
 from __future__ import annotations
 
@@ -38,6 +38,19 @@ _OPTIONS = (
         choices=("rows", "power"),
         help="Equal weights of rows, or their speeds, which keep the dissipated energy.",
     ),
+    ExportOption(
+        name="kp",
+        type="float",
+        unit="N.m/rad",
+        per_joint=True,
+        help="Gains of servos, to state the price in positions as well; by default those of the "
+        "robot file, or those that were fitted to commands.",
+    ),
+)
+_INTO = ExportOption(
+    name="into",
+    type="path",
+    help="Your model; a copy with the numbers is written, with all else byte for byte.",
 )
 
 
@@ -46,8 +59,9 @@ def _defer(format_name: str) -> Callable[..., list[str]]:
 
     def write(model: FrictionModel, output: Path, **options: Any) -> list[str]:
         from hesr.extras.reduction import formats
+        from hesr.extras.reduction.export import export_reduced
 
-        return formats.export_reduced(model, output, getattr(formats, format_name), **options)
+        return export_reduced(model, output, getattr(formats, format_name), **options)
 
     return write
 
@@ -56,17 +70,29 @@ MJCF_JOINT = Exporter(
     title="damping, frictionloss and armature of joints for MuJoCo",
     suffixes=(".xml",),
     write=_defer("MJCF_JOINT"),
-    options=_OPTIONS,
+    options=(*_OPTIONS, _INTO),
 )
 URDF_DYNAMICS = Exporter(
-    title="damping and friction of joints for a URDF or SDF",
+    title="damping and friction of joints for a URDF",
     suffixes=(".urdf", ".xml"),
     write=_defer("URDF_DYNAMICS"),
-    options=_OPTIONS,
+    options=(*_OPTIONS, _INTO),
+)
+SDF_DYNAMICS = Exporter(
+    title="damping and friction of joints for an SDF",
+    suffixes=(".sdf", ".world", ".xml"),
+    write=_defer("SDF_DYNAMICS"),
+    options=(*_OPTIONS, _INTO),
 )
 ISAACLAB = Exporter(
     title="friction, viscous friction and armature of joints for Isaac Lab",
     suffixes=(".py",),
     write=_defer("ISAACLAB"),
+    options=_OPTIONS,
+)
+NEWTON = Exporter(
+    title="friction, damping and armature of joints for Newton",
+    suffixes=(".py",),
+    write=_defer("NEWTON"),
     options=_OPTIONS,
 )

@@ -1,26 +1,30 @@
-"""Files with the numbers of joints: MJCF, URDF and Isaac Lab, with their price as comments."""
+"""Files with the numbers of joints for simulators, and copies of users' models with them.
+
+Names and units are those of MuJoCo 4, URDF, SDFormat 1.12, Isaac Lab 2.3 and Newton 1.8.
+"""
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from xml.etree import ElementTree as ET
 
-import numpy as np
-
-from hesr.extras.reduction.creep import DEFAULT_SOLREF, SOLREF, STEP, simulate_creep
-from hesr.extras.reduction.projection import LogRecords, ReducedJoint, Weight, reduce_model
-from hesr_model.errors import ExportError
-from hesr_model.friction.log_friction import LogSource, read_log
-from hesr_model.friction.model import FrictionModel
-from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.robots.robot import Robot
-from hesr_model.support.files import written_whole
-from hesr_model.support.text import join_with_or
+from hesr.extras.reduction.projection import ReducedJoint
+from hesr.extras.reduction.soft_friction import (
+    DEFAULT_SOLREF,
+    SOLREF,
+    STEP,
+    list_actuator_attributes,
+    simulate_creep,
+)
+from hesr.extras.reduction.xml_copy import XmlCopy, XmlElement
 from hesr_model.units import unit_of_joint
 
 _DIGITS = 6
-_INERTIA_ROWS = 200  # number of positions for the mean of inertias
+_NOT_JOINTS = ("default", "equality")  # elements of an MJCF whose <joint> is none
+
+Comments = Sequence[str]
+Edit = Callable[[XmlCopy, XmlElement, ReducedJoint], list[str]]
+"""Sets the numbers of a joint in a copy; returns remarks for the user."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,130 +36,57 @@ class TextFormat:
     noun : its name in messages.
     suffixes : allowed ones of the file.
     compose : joints and comments in, text out.
+    describe : joints in, lines on what the format means or loses out.
+    is_joint : whether an element of a user's model is one of the joints of its name; None if the
+        format has no such model.
+    edit : sets the numbers in a user's model.
     """
 
     noun: str
     suffixes: tuple[str, ...]
-    compose: Callable[[Sequence[ReducedJoint], Sequence[str]], str]
+    compose: Callable[[Sequence[ReducedJoint], Comments], str]
+    describe: Callable[[Sequence[ReducedJoint]], Iterator[str]]
+    is_joint: Callable[[XmlElement], bool] | None = None
+    edit: Edit | None = None
 
 
-def export_reduced(
-    model: FrictionModel,
-    path: Path,
-    text_format: TextFormat,
-    *,
-    log: Sequence[LogSource],
-    test_log: Sequence[LogSource] = (),
-    robot: Robot,
-    rigid_body: RigidBody | None = None,
-    weight: Weight = "rows",
-) -> list[str]:
-    """Write the numbers of all joints by a format; return their price in words.
-
-    Parameters
-    ----------
-    model : laws of the joints.
-    path : file to write.
-    text_format : format of the file.
-    log : logs at whose speeds and loads the numbers hold, as a rule those of the fit.
-    test_log : logs that decide on the price; by default `log`.
-    robot : robot of the logs.
-    rigid_body : body that separates friction; by default that of the fit.
-    weight : weight of a row in the projection.
-
-    Raises
-    ------
-    ExportError
-        If the file has another suffix, a joint stands still, or its law does not oppose motion.
-    LogError, RobotError, SimulationError
-        If a log cannot be read, or log, body and law are of different robots.
-    """
-    if path.suffix not in text_format.suffixes:
-        raise ExportError(
-            f"{path}: {text_format.noun} ends in {join_with_or(text_format.suffixes)}, found "
-            f"'{path.suffix}'."
-        )
-    training = _read_records(model, log, robot, rigid_body)
-    tests = _read_records(model, test_log, robot, rigid_body) if test_log else None
-    body = rigid_body or model.rigid_body
-    inertias = _find_mean_inertias(robot, body, training)
-    joints = reduce_model(model, training, tests, body, inertias, weight)
-    price_lines = list(_describe_price(joints, is_held_back=tests is not None))
-    comments = [
-        f"Friction of '{model.robot}' by the law '{model.law}', reduced to numbers per joint.",
-        "They hold at the speeds and loads below, and replace no other term of the law.",
-        *price_lines,
-    ]
-    with written_whole(path) as temporary:
-        temporary.write_text(text_format.compose(joints, comments), encoding="utf-8")
-    return price_lines
+def format_number(value: float) -> str:
+    """Return a number as it is written into files."""
+    return f"{value:.{_DIGITS}g}"
 
 
-def _read_records(
-    model: FrictionModel,
-    logs: Sequence[LogSource],
-    robot: Robot,
-    rigid_body: RigidBody | None,
-) -> LogRecords:
-    return [
-        model.records(part, rigid_body=rigid_body, robot=robot)
-        for source in logs
-        for part in read_log(source, robot).parts()
-    ]
+# --- MuJoCo ---------------------------------------------------------------------------------------
 
 
-def _find_mean_inertias(robot: Robot, body: RigidBody | None, records: LogRecords) -> list[float]:
-    """Return the inertia at each joint [kg.m2], the mean over positions of the logs."""
-    parameters = robot.nominal_parameters if body is None else body.parameters_for(robot)
-    positions = [np.stack([record.q for record in log_records], axis=1) for log_records in records]
-    q = np.concatenate(positions)
-    step = max(1, len(q) // _INERTIA_ROWS)
-    mass_matrices, _ = robot.dynamics(parameters, q[::step], np.zeros_like(q[::step]))
-    diagonals = np.diagonal(mass_matrices, axis1=1, axis2=2)
-    return [float(inertia) for inertia in np.mean(diagonals, axis=0)]
+def _list_mjcf_attributes(joint: ReducedJoint) -> dict[str, str]:
+    attributes = {
+        "damping": format_number(joint.damping),
+        "frictionloss": format_number(joint.frictionloss),
+        "solreffriction": SOLREF,
+    }
+    if joint.armature is not None:
+        attributes["armature"] = format_number(joint.armature)
+    return attributes
 
 
-def _describe_price(joints: Sequence[ReducedJoint], *, is_held_back: bool) -> Iterator[str]:
-    """Yield the price of each joint as one line."""
-    rows = "logs that were not used for them" if is_held_back else "the logs of the projection"
-    yield f"Price on {rows}: RMSE of the law and of the numbers, variance lost, energy kept:"
-    for joint in joints:
-        price = joint.price
-        force, speed = (
-            unit_of_joint(unit, is_prismatic=joint.sliding) for unit in ("N.m", "rad/s")
-        )
-        low_speed, high_speed = (f"{value:.3g}" for value in price.speeds)
-        low_load, high_load = (f"{value:.3g}" for value in price.loads)
-        yield (
-            f"{joint.name}: {price.law_rmse:.4g} and {price.rmse:.4g} {force}, "
-            f"{100.0 * price.lost_variance:.2g} %, {100.0 * price.energy:.4g} %; speeds of "
-            f"{low_speed} to {high_speed} {speed}, loads of {low_load} to {high_load} {force}."
-        )
-
-
-def compose_mjcf(joints: Sequence[ReducedJoint], comments: Sequence[str]) -> str:
-    """Return defaults of MuJoCo, one class per joint, for `<include>` in a model.
-
-    MuJoCo's Coulomb friction is a soft constraint, so that a held joint creeps; the comments state
-    how fast, as MuJoCo simulates it.
-    """
+def compose_mjcf(joints: Sequence[ReducedJoint], comments: Comments) -> str:
+    """Return defaults of MuJoCo, one class per joint, for `<include>` in a model."""
     root = ET.Element("mujoco")
     defaults = ET.SubElement(root, "default")
     for joint in joints:
-        attributes = {
-            "damping": _format(joint.damping),
-            "frictionloss": _format(joint.frictionloss),
-            "solreffriction": SOLREF,
-        }
-        if joint.armature is not None:
-            attributes["armature"] = _format(joint.armature)
         default_class = ET.SubElement(defaults, "default", {"class": joint.name})
-        ET.SubElement(default_class, "joint", attributes)
+        ET.SubElement(default_class, "joint", _list_mjcf_attributes(joint))
+    servos = {joint.name: joint.servo for joint in joints if joint.servo is not None}
+    if servos:
+        actuators = ET.SubElement(root, "actuator")
+        for name, servo in servos.items():
+            ET.SubElement(actuators, "position", {"joint": name, **list_actuator_attributes(servo)})
     usage = "Include this file, and give each joint the class of its name."
-    creep = (
-        "MuJoCo's Coulomb friction is soft: under half of it a held joint creeps, at a step of "
-        f"{1e3 * STEP:g} ms:"
-    )
+    return _compose_xml(root, [*comments, usage])
+
+
+def _describe_mjcf(joints: Sequence[ReducedJoint]) -> Iterator[str]:
+    """Yield how a held joint creeps: MuJoCo's Coulomb friction is a soft constraint."""
     creep_lines = [
         f"{joint.name}: {simulate_creep(joint):.2g} "
         f"{unit_of_joint('rad/s', is_prismatic=joint.sliding)}, without solreffriction "
@@ -164,54 +95,225 @@ def compose_mjcf(joints: Sequence[ReducedJoint], comments: Sequence[str]) -> str
         if joint.frictionloss > 0.0 and joint.inertia > 0.0
     ]
     if creep_lines:
-        creep_lines.insert(0, creep)
-    comments = [*comments, usage, *creep_lines, *_list_hidden_rotors(joints)]
-    return _compose_xml(root, comments)
+        yield (
+            "MuJoCo's Coulomb friction is soft: under half of it a held joint creeps, at a step "
+            f"of {1e3 * STEP:g} ms:"
+        )
+        yield from creep_lines
+    yield from _list_hidden_rotors(joints)
 
 
-def compose_urdf(joints: Sequence[ReducedJoint], comments: Sequence[str]) -> str:
-    """Return `<dynamics>` elements for the joints of a URDF, or of SDF."""
+def _is_mjcf_joint(element: XmlElement) -> bool:
+    in_other = element.parent is not None and element.parent.tag in _NOT_JOINTS
+    return element.tag == "joint" and not in_other
+
+
+def _edit_mjcf(copy: XmlCopy, element: XmlElement, joint: ReducedJoint) -> list[str]:
+    """Set attributes of the joint, which win over those of its class, and of its servo."""
+    copy.set_attributes(element, _list_mjcf_attributes(joint))
+    if joint.servo is None:
+        return []
+    attributes = list_actuator_attributes(joint.servo)
+    servos = [
+        other
+        for other in copy.root.list_elements()
+        if other.tag == "position" and other.attributes.get("joint") == joint.name
+    ]
+    for servo in servos:
+        copy.set_attributes(servo, attributes)
+        copy.remove_attribute(servo, "dampratio")  # MuJoCo refuses it beside kv
+    if servos:
+        return []
+    markup = ET.tostring(
+        ET.Element("position", {"joint": joint.name, **attributes}), encoding="unicode"
+    )
+    return [f"{copy.path}: no <position> acts on joint '{joint.name}'; add {markup}."]
+
+
+# --- URDF and SDF ---------------------------------------------------------------------------------
+
+
+def _compose_dynamics(joint: ReducedJoint) -> str:
+    element = ET.Element("dynamics", _list_urdf_attributes(joint))
+    return ET.tostring(element, encoding="unicode")
+
+
+def _list_urdf_attributes(joint: ReducedJoint) -> dict[str, str]:
+    return {
+        "damping": format_number(joint.damping),
+        "friction": format_number(joint.frictionloss),
+    }
+
+
+def compose_urdf(joints: Sequence[ReducedJoint], comments: Comments) -> str:
+    """Return `<dynamics>` elements for the joints of a URDF."""
     root = ET.Element("robot", name="friction")
     for joint in joints:
         kind = "prismatic" if joint.sliding else "revolute"
         joint_node = ET.SubElement(root, "joint", name=joint.name, type=kind)
-        ET.SubElement(
-            joint_node,
-            "dynamics",
-            damping=_format(joint.damping),
-            friction=_format(joint.frictionloss),
-        )
+        ET.SubElement(joint_node, "dynamics", _list_urdf_attributes(joint))
     usage = "Copy each <dynamics> into the joint of its name."
     return _compose_xml(root, [*comments, usage])
 
 
-def compose_isaaclab(joints: Sequence[ReducedJoint], comments: Sequence[str]) -> str:
+def _is_urdf_joint(element: XmlElement) -> bool:
+    at_root = element.parent is not None and element.parent.parent is None
+    return element.tag == "joint" and at_root
+
+
+def _edit_urdf(copy: XmlCopy, element: XmlElement, joint: ReducedJoint) -> list[str]:
+    dynamics = element.find_child("dynamics")
+    if dynamics is None:
+        copy.append(element, _compose_dynamics(joint))
+    else:
+        copy.set_attributes(dynamics, _list_urdf_attributes(joint))
+    return []
+
+
+def compose_sdf(joints: Sequence[ReducedJoint], comments: Comments) -> str:
+    """Return `<dynamics>` elements for the axes of the joints of an SDF."""
+    root = ET.Element("sdf", version="1.12")
+    model = ET.SubElement(root, "model", name="friction")
+    for joint in joints:
+        kind = "prismatic" if joint.sliding else "revolute"
+        joint_node = ET.SubElement(model, "joint", name=joint.name, type=kind)
+        axis = ET.SubElement(joint_node, "axis")
+        dynamics = ET.SubElement(axis, "dynamics")
+        for name, value in _list_urdf_attributes(joint).items():
+            ET.SubElement(dynamics, name).text = value
+    usage = "Copy each <dynamics> into the <axis> of the joint of its name."
+    return _compose_xml(root, [*comments, usage])
+
+
+def _is_sdf_joint(element: XmlElement) -> bool:
+    in_model = element.parent is not None and element.parent.tag == "model"
+    return element.tag == "joint" and in_model
+
+
+def _edit_sdf(copy: XmlCopy, element: XmlElement, joint: ReducedJoint) -> list[str]:
+    axis = element.find_child("axis")
+    if axis is None:
+        copy.refuse(f"joint '{joint.name}' has no <axis>")
+    values = _list_urdf_attributes(joint)
+    dynamics = axis.find_child("dynamics")
+    if dynamics is None:
+        content = "".join(f"<{name}>{value}</{name}>" for name, value in values.items())
+        copy.append(axis, f"<dynamics>{content}</dynamics>")
+        return []
+    missing = []
+    for name, value in values.items():
+        child = dynamics.find_child(name)
+        if child is None:
+            missing.append(f"<{name}>{value}</{name}>")
+        else:
+            copy.set_text(child, value)
+    if missing:
+        copy.append(dynamics, "".join(missing))
+    return []
+
+
+def _describe_dynamics(joints: Sequence[ReducedJoint]) -> Iterator[str]:
+    """Yield what `<dynamics>` cannot state."""
+    rotors = [
+        f"{joint.name} {format_number(joint.armature)}"
+        for joint in joints
+        if joint.armature is not None
+    ]
+    if rotors:
+        yield (
+            f"<dynamics> has no armature; inertias of rotors at joints: {', '.join(rotors)} kg.m2."
+        )
+    if any(joint.servo is not None for joint in joints):
+        yield "<dynamics> has no servo; give its numbers to your controller."
+    yield "How a simulator turns these numbers into friction was not run here."
+
+
+# --- Isaac Lab and Newton -------------------------------------------------------------------------
+
+
+def compose_isaaclab(joints: Sequence[ReducedJoint], comments: Comments) -> str:
     """Return an actuator configuration of Isaac Lab (Isaac Sim 5 and newer), as Python."""
-    values_by_field = {
-        "friction": {joint.name: joint.frictionloss for joint in joints},
-        "dynamic_friction": {joint.name: joint.frictionloss for joint in joints},
+    servos = {joint.name: joint.servo for joint in joints if joint.servo is not None}
+    friction = {joint.name: joint.frictionloss for joint in joints}
+    values_by_field: dict[str, Mapping[str, float]] = {
+        "stiffness": {name: servo.kp for name, servo in servos.items()},
+        "damping": {name: servo.kd for name, servo in servos.items()},
+        "effort_limit_sim": {
+            name: servo.torque_limit
+            for name, servo in servos.items()
+            if servo.torque_limit is not None
+        },
+        "friction": friction,
+        "dynamic_friction": friction,
         "viscous_friction": {joint.name: joint.damping for joint in joints},
         "armature": {joint.name: joint.armature for joint in joints if joint.armature is not None},
     }
-    lines = [f"# {comment}" for comment in [*comments, *_list_hidden_rotors(joints)]]
+    lines = [f"# {comment}" for comment in comments]
     lines += [
-        "# Isaac Sim 5 and newer, where friction is an effort. Stiffness and damping are those of",
-        "# your controller.",
         "from isaaclab.actuators import ImplicitActuatorCfg",
         "",
         "FRICTION = ImplicitActuatorCfg(",
         f"    joint_names_expr={json.dumps([joint.name for joint in joints])},",
-        "    stiffness=None,",
-        "    damping=None,",
     ]
     for field, values in values_by_field.items():
         if values:
-            lines.append(f"    {field}={{")
-            lines += [
-                f"        {json.dumps(name)}: {_format(value)}," for name, value in values.items()
-            ]
-            lines.append("    },")
+            lines += [f"    {field}={{", *_list_items(values), "    },"]
+        elif field in ("stiffness", "damping"):
+            lines.append(f"    {field}=None,")
     return "\n".join([*lines, ")", ""])
+
+
+def _list_items(values: Mapping[str, float]) -> Iterator[str]:
+    for name, value in values.items():
+        yield f"        {json.dumps(name)}: {format_number(value)},"
+
+
+def _describe_isaaclab(joints: Sequence[ReducedJoint]) -> Iterator[str]:
+    yield from _list_hidden_rotors(joints)
+    yield "For Isaac Sim 5 and newer, where friction is an effort; before, it was a coefficient."
+    if all(joint.servo is None for joint in joints):
+        yield "Stiffness and damping are those of your controller."
+    yield "PhysX's own form of friction was not run here."
+
+
+_NEWTON = '''
+def set_numbers(builder):
+    """Set the numbers in a newton.ModelBuilder that has the joints, before `finalize`."""
+    for name, numbers in JOINTS.items():
+        matches = [
+            joint
+            for joint, label in enumerate(builder.joint_label)
+            if label == name or label.endswith("/" + name)
+        ]
+        if len(matches) != 1:
+            raise ValueError(f"{len(matches)} joints have the name {name!r}; expected one")
+        dof = builder.joint_qd_start[matches[0]]
+        for attribute, value in numbers.items():
+            getattr(builder, attribute)[dof] = value
+'''
+
+
+def compose_newton(joints: Sequence[ReducedJoint], comments: Comments) -> str:
+    """Return a Python module that sets the numbers in a builder of Newton."""
+    lines = [f"# {comment}" for comment in comments]
+    lines.append("JOINTS = {")
+    for joint in joints:
+        numbers = {"joint_friction": joint.frictionloss, "joint_damping": joint.damping}
+        if joint.armature is not None:
+            numbers["joint_armature"] = joint.armature
+        if joint.servo is not None:
+            numbers["joint_target_ke"] = joint.servo.kp
+            numbers["joint_target_kd"] = joint.servo.kd
+            if joint.servo.torque_limit is not None:
+                numbers["joint_effort_limit"] = joint.servo.torque_limit
+        lines += [f"    {json.dumps(joint.name)}: {{", *_list_items(numbers), "    },"]
+    return "\n".join([*lines, "}", _NEWTON])
+
+
+def _describe_newton(joints: Sequence[ReducedJoint]) -> Iterator[str]:
+    yield from _list_hidden_rotors(joints)
+    yield "For Newton 1.3 and newer; before, joints had no damping beside that of their drives."
+    yield "Newton's solvers differ in what they use of it; their form of friction was not run here."
 
 
 def _list_hidden_rotors(joints: Sequence[ReducedJoint]) -> Iterator[str]:
@@ -221,7 +323,7 @@ def _list_hidden_rotors(joints: Sequence[ReducedJoint]) -> Iterator[str]:
         yield f"Armature is not separated from the inertia of the links: {', '.join(hidden)}."
 
 
-def _compose_xml(root: ET.Element, comments: Sequence[str]) -> str:
+def _compose_xml(root: ET.Element, comments: Comments) -> str:
     """Return a document whose comments precede the first child."""
     for k, comment in enumerate(comments):
         # Two hyphens end a comment.
@@ -230,10 +332,39 @@ def _compose_xml(root: ET.Element, comments: Sequence[str]) -> str:
     return ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _format(value: float) -> str:
-    return f"{value:.{_DIGITS}g}"
-
-
-MJCF_JOINT = TextFormat(noun="an MJCF", suffixes=(".xml",), compose=compose_mjcf)
-URDF_DYNAMICS = TextFormat(noun="a URDF", suffixes=(".urdf", ".xml"), compose=compose_urdf)
-ISAACLAB = TextFormat(noun="a Python module", suffixes=(".py",), compose=compose_isaaclab)
+MJCF_JOINT = TextFormat(
+    noun="an MJCF",
+    suffixes=(".xml",),
+    compose=compose_mjcf,
+    describe=_describe_mjcf,
+    is_joint=_is_mjcf_joint,
+    edit=_edit_mjcf,
+)
+URDF_DYNAMICS = TextFormat(
+    noun="a URDF",
+    suffixes=(".urdf", ".xml"),
+    compose=compose_urdf,
+    describe=_describe_dynamics,
+    is_joint=_is_urdf_joint,
+    edit=_edit_urdf,
+)
+SDF_DYNAMICS = TextFormat(
+    noun="an SDF",
+    suffixes=(".sdf", ".world", ".xml"),
+    compose=compose_sdf,
+    describe=_describe_dynamics,
+    is_joint=_is_sdf_joint,
+    edit=_edit_sdf,
+)
+ISAACLAB = TextFormat(
+    noun="a Python module",
+    suffixes=(".py",),
+    compose=compose_isaaclab,
+    describe=_describe_isaaclab,
+)
+NEWTON = TextFormat(
+    noun="a Python module",
+    suffixes=(".py",),
+    compose=compose_newton,
+    describe=_describe_newton,
+)

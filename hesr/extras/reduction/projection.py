@@ -18,6 +18,7 @@ from scipy.optimize import nnls
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import rmse
+from hesr_model.friction.servo import JointServo
 from hesr_model.logs.signals import moving
 from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.identification import RigidBody
@@ -53,6 +54,25 @@ class Price:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PositionPrice:
+    """What the numbers of a joint cost in positions under a servo.
+
+    Attributes
+    ----------
+    kp : gain of the servo [N.m/rad].
+    law, numbers, in_mujoco : RMSE of positions with the law, with the numbers as dry friction, and
+        with them in MuJoCo's soft form [rad; m].
+    is_measured : whether errors are those from measured positions, or from those under the law.
+    """
+
+    kp: float
+    law: float
+    numbers: float
+    in_mujoco: float
+    is_measured: bool
+
+
+@dataclass(frozen=True, kw_only=True)
 class ReducedJoint:
     """The numbers of a joint.
 
@@ -66,6 +86,8 @@ class ReducedJoint:
     sliding : whether the units are those of a prismatic joint.
     inertia : mean inertia at the joint over the logs, with its rotor [kg.m2].
     price : cost of the reduction.
+    servo : fitted with the law; None for laws of torques.
+    positions : cost in positions; None without a servo.
     """
 
     name: str
@@ -75,6 +97,8 @@ class ReducedJoint:
     sliding: bool
     inertia: float
     price: Price
+    servo: JointServo | None = None
+    positions: PositionPrice | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
