@@ -66,6 +66,8 @@ class XmlCopy:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        if not path.is_file():  # a pipe would be waited for
+            raise ExportError(f"{path}: no such file.")
         try:
             self._data = path.read_bytes()
         except OSError as error:
