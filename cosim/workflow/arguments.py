@@ -449,10 +449,14 @@ def _read_subject(source: LawSource) -> Subject:
         from fmu_src.friction.embedded_model import read_embedded_model
 
         return Subject(name="", model=read_embedded_model(source), fmu=source)
+    if suffix == ".xml":
+        from hesr_model.friction.mujoco_friction import read_mujoco_friction
+
+        return Subject(name="", model=read_mujoco_friction(source))
     if str(source) not in BUILT_IN and suffix != ".json":
         raise ConfigError(
-            f"'{source}' is neither a friction model (.json), nor an FMU (.fmu), nor one of "
-            f"{', '.join(BUILT_IN)}."
+            f"'{source}' is neither a friction model (.json), an FMU (.fmu), an MJCF (.xml), nor "
+            f"one of {', '.join(BUILT_IN)}."
         )
     return Subject(name="", model=read_model(source))
 

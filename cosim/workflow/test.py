@@ -199,8 +199,8 @@ def test(
     Parameters
     ----------
     laws : law, path, or sequence or mapping of these
-        Friction models (.json), friction FMUs (.fmu) of any tool, or
-        uf850-table1.
+        Friction models (.json), friction FMUs (.fmu) of any tool, MJCFs (.xml)
+        whose joints have friction or a dcmotor with bristles, or uf850-table1.
     on : log or sequence of logs, optional
         Logs for the prediction. Of more than 10^6 rows those that cover speed,
         load and rest are used.
