@@ -173,7 +173,8 @@ class JointProblem:
         for factor, law in [*starts, (1.0, plain_law)]:
             unknowns = tuple(self._list_unknowns(factor, self._start, law))
             search = _Search(self, unknowns)
-            searches.append((search, search.minimise(_encode_starts(unknowns), _SEARCH_RUNS)))
+            found = search.minimise(_encode_starts(unknowns), _SEARCH_RUNS, is_rough=True)
+            searches.append((search, found))
         costs = [search.compute_cost(numbers) for search, numbers in searches]
         if not np.any(np.isfinite(costs)):
             raise FitError(f"joint '{self._records[0].joint}': no start of the fit runs")
@@ -182,8 +183,9 @@ class JointProblem:
         if self._is_incomplete(search, numbers):
             numbers = self._refine(search, numbers)
         search, numbers = self._complete_servo(search, numbers)
-        self._use(all_records, self._substep)
-        numbers = search.minimise(numbers, _POLISH_RUNS)
+        if len(self._records) < len(all_records):
+            self._use(all_records, self._substep)
+            numbers = search.minimise(numbers, _POLISH_RUNS)
         self._substep = FINE_SUBSTEP
         return self._finish(search, search.minimise(numbers, _FINE_RUNS))
 
@@ -203,9 +205,9 @@ class JointProblem:
         ]
         self._base = replace(self._base, latency=latency)
         search = _Search(self, unknowns)
-        numbers = search.minimise(_encode(unknowns, values), _POLISH_RUNS)
         self._substep = FINE_SUBSTEP
-        refitted = self._finish(search, search.minimise(numbers, _FINE_RUNS))
+        numbers = search.minimise(_encode(unknowns, values), _FINE_RUNS)
+        refitted = self._finish(search, numbers)
         later = replace(refitted.servo, latency=latency + _LATENCY_DIFFERENCE)
         shifted = self.compute_errors(later, refitted.law.values)
         slope = (shifted - refitted.residual) / _LATENCY_DIFFERENCE
@@ -406,6 +408,16 @@ class _Search:
         """Return the sum of the squares of the errors."""
         return float(np.sum(self.compute_residual(numbers) ** 2))
 
+    def compute_rough_jacobian(self, numbers: Array) -> Array:
+        """Return the derivatives (N, P) by differences to one side, at half the runs."""
+        residual = self.compute_residual(numbers)
+        columns = []
+        for k, unknown in enumerate(self.unknowns):
+            later = numbers.copy()
+            later[k] += unknown.difference
+            columns.append((self.compute_residual(later) - residual) / unknown.difference)
+        return np.column_stack(columns)
+
     def compute_jacobian(self, numbers: Array) -> Array:
         """Return the derivatives (N, P) of the residual over the numbers of the search.
 
@@ -422,8 +434,11 @@ class _Search:
             columns.append(change / (later[k] - earlier[k]))
         return np.column_stack(columns)
 
-    def minimise(self, numbers: Array, runs: int) -> Array:
-        """Return the numbers of the least Huber loss within some evaluations."""
+    def minimise(self, numbers: Array, runs: int, *, is_rough: bool = False) -> Array:
+        """Return the numbers of the least Huber loss within some evaluations.
+
+        A rough search, which compares starts, takes differences to one side.
+        """
         lower = np.array([unknown.encode(unknown.lower) for unknown in self.unknowns])
         upper = np.array([unknown.encode(unknown.upper) for unknown in self.unknowns])
         residual = self.compute_residual(numbers)
@@ -433,7 +448,7 @@ class _Search:
         result = scipy.optimize.least_squares(
             self.compute_residual,
             np.clip(numbers, lower + _INSIDE, upper - _INSIDE),
-            jac=self.compute_jacobian,
+            jac=self.compute_rough_jacobian if is_rough else self.compute_jacobian,
             bounds=(lower, upper),
             loss="huber",
             f_scale=_HUBER * spread,

@@ -54,7 +54,7 @@ class Interval:
         return float(np.hypot(own_width, NORMAL_QUANTILE * error))
 
 
-def compute_interval(fit: JointFit, latency_error: float = 0.0) -> Interval:
+def compute_interval(fit: JointFit, latency_error: float | None = None) -> Interval:
     """Return the values of a fit with their covariance.
 
     The errors of a block are those of a fit without it, so that a block of great weight does not
@@ -64,7 +64,7 @@ def compute_interval(fit: JointFit, latency_error: float = 0.0) -> Interval:
     Parameters
     ----------
     fit : the fit.
-    latency_error : standard error [s] of a latency that the fit did not search.
+    latency_error : standard error [s] of a latency that the fit did not search; None if it did.
     """
     scale = np.maximum(np.linalg.norm(fit.jacobian, axis=0), 1e-300)
     scaled = fit.jacobian / scale
@@ -74,7 +74,7 @@ def compute_interval(fit: JointFit, latency_error: float = 0.0) -> Interval:
     changes = np.array([_find_change_of_block(whitened, fit, number) for number in numbers])
     changes = changes @ root.T
     covariance = changes.T @ changes
-    if fit.latency_slope is not None:
+    if fit.latency_slope is not None and latency_error is not None:
         late_change = latency_error * (root @ (whitened.T @ fit.latency_slope))
         covariance += np.outer(late_change, late_change)
     degrees = max(len(numbers) - len(scale), 1)

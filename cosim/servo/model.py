@@ -106,22 +106,20 @@ def finish_model(
     report: Callable[[int], None],
     latency: tuple[float, float] | None = None,
 ) -> FrictionModel:
-    """Fit all joints again with their common latency, and return the model in N.m.
+    """Return the model in N.m; several joints are fitted again with their common latency.
 
     The `latency` with its error [s] is by default that of the fits; `report` is called with the
     number of finished joints.
     """
-    common_latency, latency_error = latency or find_common_latency(fits)
-    kind = robot.description.servo.kind
-    jobs = [
-        partial(_refit_joint, joint_records, fit.law.name, kind, fit, common_latency)
-        for joint_records, fit in zip(records, fits, strict=True)
-    ]
-    with parallel.results_of(jobs, workers, names=robot.joints) as answers:
-        refits = _collect(answers, report)
+    if len(fits) == 1:
+        latency_error = None  # the fit's own
+        finished = list(fits)
+    else:
+        common_latency, latency_error = latency or find_common_latency(fits)
+        finished = _refit_all(records, robot, fits, common_latency, workers, report)
     results = [
         _finish_joint(joint_records, fit, latency_error, robot.description, j)
-        for j, (joint_records, fit) in enumerate(zip(records, refits, strict=True))
+        for j, (joint_records, fit) in enumerate(zip(records, finished, strict=True))
     ]
     sentences = [
         f"{joint}: {sentence}"
@@ -167,6 +165,24 @@ def _fit_joint(records: Sequence[ServoRecord], law_name: str, kind: ServoKind) -
         return problem.fit()
 
 
+def _refit_all(
+    records: Sequence[Sequence[ServoRecord]],
+    robot: Robot,
+    fits: Sequence[JointFit],
+    latency: float,
+    workers: int | None,
+    report: Callable[[int], None],
+) -> list[JointFit]:
+    """Return the fits of all joints with a common latency."""
+    kind = robot.description.servo.kind
+    jobs = [
+        partial(_refit_joint, joint_records, fit.law.name, kind, fit, latency)
+        for joint_records, fit in zip(records, fits, strict=True)
+    ]
+    with parallel.results_of(jobs, workers, names=robot.joints) as answers:
+        return _collect(answers, report)
+
+
 def _refit_joint(
     records: Sequence[ServoRecord],
     law_name: str,
@@ -203,7 +219,7 @@ def find_common_latency(fits: Sequence[JointFit]) -> tuple[float, float]:
 def _finish_joint(
     records: Sequence[ServoRecord],
     fit: JointFit,
-    latency_error: float,
+    latency_error: float | None,
     description: RobotDescription,
     j: int,
 ) -> ServoResult:
@@ -232,7 +248,7 @@ def _scale_result(
     interval: Interval,
     scale: TorqueScale,
     ideal_rmse: float,
-    latency_error: float,
+    latency_error: float | None,
 ) -> ServoResult:
     """Return law and servo with torques in N.m if their scale is known."""
     gain = scale.gain
@@ -263,7 +279,8 @@ def _scale_result(
         for name, width in relative_widths.items()
         if name not in values and np.isfinite(width)
     }
-    intervals["latency"] = NORMAL_QUANTILE * latency_error
+    if latency_error is not None:
+        intervals["latency"] = NORMAL_QUANTILE * latency_error
     if scale.source != "none":  # kp over itself is 1
         gravity_width = relative_widths.get("body_factor", 0.0)
         intervals["kp"] = gain * (gravity_width if follows else NORMAL_QUANTILE * scale_error)

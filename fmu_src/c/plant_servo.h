@@ -59,9 +59,9 @@ static double commanded(const Solver *solver, int i, double time) {
     return speed + component->v[KP + i] * (q_cmd - solver->q[i]);
 }
 
-/* Mean of the position commands that act from `from` to `to` [s] after the start of the step; the
+/* Mean of the commands of a kind that act from `from` to `to` [s] after the start of the step; the
  * first one also acts before it. The mean is continuous in the latency, as a fit needs it. */
-static double mean_command(const Component *component, int i, double from, double to) {
+static double mean_command(const Component *component, int i, int kind, double from, double to) {
     const double *own = component->own, *row = &own[FIRST_COMMAND];
     const double latency = component->v[LATENCY], end = to - latency;
     const int count = (int)own[COMMANDS];
@@ -70,12 +70,12 @@ static double mean_command(const Component *component, int i, double from, doubl
         const double until = n + 1 < count ? row[ROW] - component->time : 0.0;
         const double stop = fmin(until, end);
         if (stop > begin) {
-            sum += (stop - begin) * row[POSITIONS + i];
+            sum += (stop - begin) * row[kind + i];
             begin = stop;
         }
     }
     if (end > begin) {
-        sum += (end - begin) * mixed_at(component, false, Q_CMD, i, 0.0);
+        sum += (end - begin) * mixed_at(component, false, kind == SPEEDS ? DQ_CMD : Q_CMD, i, 0.0);
     }
     return sum / (to - from);
 }
@@ -85,7 +85,7 @@ static double mean_command(const Component *component, int i, double from, doubl
 static void follow_command(Solver *solver, int i, double time) {
     const double *v = solver->component->v, h = solver->h, filter = v[COMMAND_FILTER + i];
     const double from = solver->followed[i], most = h * v[SPEED_LIMIT + i];
-    const double mean = mean_command(solver->component, i, time, time + h);
+    const double mean = mean_command(solver->component, i, POSITIONS, time, time + h);
     const double share = filter > 0.0 ? -expm1(-h / filter) : 1.0;
     const double change = share * (mean - from);
     if (fabs(change) > most) {
@@ -144,7 +144,7 @@ static void drive_directly(Solver *solver, int i, double time) {
     const double kp = v[KP + i], ki = v[KI + i], kd = v[KV + i];
     follow_command(solver, i, time);
     const double error = solver->reference[i] - solver->q[i];
-    const double speed = acting(solver->component, i, time, SPEEDS, 0.0);
+    const double speed = mean_command(solver->component, i, SPEEDS, time, time + solver->h);
     solver->servo[i] = kp * error + ki * (solver->command[i] + half * error) + kd * speed;
     solver->gain[i] = kd + half * (kp + half * ki);
 }

@@ -242,9 +242,6 @@ def test_intervals_hold_the_truth_where_masses_are_uncertain(tmp_path: Path) -> 
     require_sound_intervals(f"masses within {BODY_ERROR:.0%}", numbers)
 
 
-@pytest.mark.xfail(
-    reason="a draw ends at 1.53 roundings, and intervals of armatures are too narrow", strict=True
-)
 def test_industrial_joints_are_found(tmp_path: Path) -> None:
     curves, residuals, lines, numbers = [], [], [], []
     gains: dict[str, list[float]] = {"kp": [], "ki": [], "kd": []}
