@@ -24,7 +24,7 @@ LEVER = """<robot name="lever"><link name="base"/><link name="lever"><inertial>
 <origin xyz="0 0 {centre}"/><mass value="{mass}"/>
 <inertia ixx="1e-5" iyy="1e-5" izz="1e-5" ixy="0" ixz="0" iyz="0"/></inertial></link>
 <joint name="joint1" type="revolute"><parent link="base"/><child link="lever"/>
-<axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="10" velocity="20"/></joint></robot>
+<axis xyz="{axis}"/><limit lower="-3" upper="3" effort="10" velocity="20"/></joint></robot>
 """
 FINE = 2.5e-4  # inner step of the truth [s]
 
@@ -49,9 +49,11 @@ class HobbyServo:
         return path
 
 
-def write_robot(folder: Path, mass: float, centre: float, extra: str = "") -> Path:
+def write_robot(
+    folder: Path, mass: float, centre: float, extra: str = "", axis: str = "0 1 0"
+) -> Path:
     """Write the URDF and the robot file of a lever."""
-    (folder / "lever.urdf").write_text(LEVER.format(mass=mass, centre=-centre))
+    (folder / "lever.urdf").write_text(LEVER.format(mass=mass, centre=-centre, axis=axis))
     file = folder / "robot.toml"
     file.write_text(
         'name = "lever"\nmodel = "lever.urdf"\njoints = ["joint1"]\n'
@@ -83,18 +85,26 @@ def draw_hobby_servo(
     extra: str = "",
     body_factor: float = 1.0,
     command_filter: float = 0.0,
+    is_vertical: bool = False,
+    added_inertia: float = 0.0,
+    command_seed: int | None = None,
 ) -> HobbyServo:
     """Draw lever, servo, friction and commands, and simulate the log in `folder`.
 
-    The lever of the log is heavier than that of the robot file by `body_factor`.
+    The lever of the log is heavier than that of the robot file by `body_factor`, or feels no
+    gravity about a vertical axis. A disc may add inertia [kg.m2]. The commands may have a seed of
+    their own, for further logs of a servo.
     """
     generator = np.random.default_rng(seed)
     chosen_rate = rate or float(generator.choice([50.0, 100.0, 200.0]))
     t = np.arange(int(seconds * chosen_rate) + 1) / chosen_rate
     q_cmd = draw_commands(generator, t)
+    if command_seed is not None:
+        q_cmd = draw_commands(np.random.default_rng(command_seed), t)
+    axis = "0 0 1" if is_vertical else "0 1 0"
     mass = generator.uniform(0.25, 0.5)
     centre = generator.uniform(0.12, 0.2)
-    true_robot = Robot(write_robot(folder, mass, centre, extra))
+    true_robot = Robot(write_robot(folder, mass, centre, extra, axis))
     kp = generator.uniform(8.0, 25.0)
     coulomb = generator.uniform(0.03, 0.15)
     viscous = generator.uniform(0.3, 0.9) * kp / 18.0
@@ -115,8 +125,8 @@ def draw_hobby_servo(
         latency=generator.uniform(0.005, 0.04),
     )
     armature = generator.uniform(0.005, 0.03)
-    exact = simulate(folder, true_robot, servo, armature, law, t, q_cmd)
-    robot = Robot(write_robot(folder, mass / body_factor, centre, extra))
+    exact = simulate(folder, true_robot, servo, armature + added_inertia, law, t, q_cmd)
+    robot = Robot(write_robot(folder, mass / body_factor, centre, extra, axis))
     step = 2.0 * np.pi / 2**bits
     return HobbyServo(
         robot=robot,
@@ -153,6 +163,27 @@ def simulate(
         bare=True,
     )
     return run_along(fmu, t, q_cmd, {"substep": FINE})
+
+
+def draw_current(draw: HobbyServo, seed: int, kind: str, constant: float = 1.0) -> Array:
+    """Return a current without a sign (N,) [A], in steps and with noise.
+
+    It is that of the motor, torque over `constant` [N.m/A], that of the supply (times the duty), or
+    a reading that is neither.
+    """
+    generator = np.random.default_rng([seed, 1])
+    rows = np.searchsorted(draw.t, draw.t - draw.servo.latency + 1e-9, side="right") - 1
+    error = draw.q_cmd[np.maximum(rows, 0)] - draw.exact
+    motor = draw.servo.kp[0] * np.abs(error) / constant
+    if kind == "motor":
+        size = motor
+    elif kind == "supply":
+        size = 0.02 + motor * np.abs(error)
+    else:
+        size = 0.2 + 0.1 * np.sin(3.0 * draw.t)
+    noise = 0.02 * np.std(size) * generator.standard_normal(len(size))
+    step = np.std(size) / 50.0
+    return np.asarray(np.abs(step * np.round((size + noise) / step)))
 
 
 def run_along(fmu: Path, t: Array, q_cmd: Array, starts: Mapping[str, float]) -> Array:

@@ -76,7 +76,7 @@ class JointEngine:
         if instance.used:
             instance.reset()
         factor = servo.body_factor
-        rotor = factor * record.inertia + servo.armature
+        rotor = factor * record.inertia + servo.added_factor * record.added + servo.armature
         slope = factor * record.slope
         constant = factor * record.bias - slope * record.posture
         starts = _starts(record, servo, substep) | {

@@ -141,7 +141,7 @@ class JointProblem:
         self._start = find_start(records, kind)
         self.law = _start_law(records, law, self._start)
         self._engine = JointEngine(self.law, sliding=records[0].sliding)
-        self._base = JointServo(kp=1.0, body_factor=0.0)
+        self._base = JointServo(kp=1.0, body_factor=0.0, added_factor=0.0)
         self._substep = SUBSTEP
         self._use(records, SUBSTEP)
         self._largest_error = _LOST * max(float(np.ptp(record.q)) for record in records)
@@ -256,6 +256,10 @@ class JointProblem:
         inertia = max(float(np.mean(record.inertia)) for record in self._records)
         if _feels_gravity(self._records):
             yield _positive("body_factor", factor * max(start.body, 0.1 * start.armature / inertia))
+        if len({record.added for record in self._records}) > 1:
+            added = max(record.added for record in self._records)
+            turned_inertia = start.body * inertia + start.armature
+            yield _positive("added_factor", factor * max(turned_inertia / (inertia + added), _TINY))
         least_armature = _LEAST_SHARE * start.body * inertia
         yield _positive("armature", factor * max(start.armature, least_armature, _TINY))
         yield FitUnknown(

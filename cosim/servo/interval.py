@@ -1,8 +1,8 @@
 """Intervals of what was fitted to commands: sandwich covariance over blocks of time.
 
 The errors of a run are correlated over seconds, and steps of the encoder are not independent
-noise. So the gradients of whole blocks count as independent, with Student's quantile for as many
-blocks as exceed the number of values.
+noise. So the gradients of whole blocks count as independent, with Student's quantile for one block
+less than there are.
 """
 
 from dataclasses import dataclass
@@ -35,21 +35,22 @@ class Interval:
         k = self.names.index(name)
         return float(self.values[k]), float(np.sqrt(max(self.covariance[k, k], 0.0)))
 
-    def scale(self, name: str, *, follows_gravity: bool, error: float) -> float:
+    def scale(self, name: str, *, reference: str | None, error: float) -> float:
         """Return the relative half width of a torque's interval.
 
-        `error` is the relative standard error of the scale. If the scale follows gravity, the
-        torque over the gain is divided by gravity over the gain, and their errors are correlated.
+        `error` is the relative standard error of the scale. If that rests on another fitted value,
+        such as gravity over the gain, torques are divided by this reference, and their errors are
+        correlated.
         """
         value, own_error = self.find(name)
         if value == 0.0:
             return np.inf
         variance = (own_error / value) ** 2
-        if follows_gravity and name != "body_factor":
-            gravity, gravity_error = self.find("body_factor")
-            k, g = self.names.index(name), self.names.index("body_factor")
-            variance += (gravity_error / gravity) ** 2
-            variance -= 2.0 * self.covariance[k, g] / (value * gravity)
+        if reference is not None and name != reference:
+            known, known_error = self.find(reference)
+            covariance = self.covariance[self.names.index(name), self.names.index(reference)]
+            variance += (known_error / known) ** 2
+            variance -= 2.0 * covariance / (value * known)
         own_width = self.quantile * np.sqrt(max(variance, 0.0))
         return float(np.hypot(own_width, NORMAL_QUANTILE * error))
 
@@ -58,8 +59,8 @@ def compute_interval(fit: JointFit, latency_error: float | None = None) -> Inter
     """Return the values of a fit with their covariance.
 
     The errors of a block are those of a fit without it, so that a block of great weight does not
-    hide its own error (CR3 of Cameron and Miller, 2015, "A practitioner's guide to cluster-robust
-    inference", J. Human Resources 50(2)).
+    hide its own error (CR3, and the degrees of freedom, of Cameron and Miller, 2015, "A
+    practitioner's guide to cluster-robust inference", J. Human Resources 50(2)).
 
     Parameters
     ----------
@@ -77,7 +78,7 @@ def compute_interval(fit: JointFit, latency_error: float | None = None) -> Inter
     if fit.latency_slope is not None and latency_error is not None:
         late_change = latency_error * (root @ (whitened.T @ fit.latency_slope))
         covariance += np.outer(late_change, late_change)
-    degrees = max(len(numbers) - len(scale), 1)
+    degrees = max(len(numbers) - 1, 1)
     return Interval(
         names=fit.names,
         values=fit.values,

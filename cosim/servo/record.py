@@ -33,6 +33,8 @@ class ServoRecord:
         the posture.
     slope : (N,) of the bias over the joint's position [N.m/rad; N/m].
     sliding : whether the joint slides.
+    added : known inertia [kg.m2; kg] beside that of the links.
+    current_size : (N,) [A], current without a sign; None if not logged.
     """
 
     log: str
@@ -48,6 +50,8 @@ class ServoRecord:
     bias: Array
     slope: Array
     sliding: bool = False
+    added: float = 0.0
+    current_size: Array | None = None
 
     @property
     def tau_load(self) -> Array:
@@ -132,6 +136,8 @@ def _read_part(log: Log, robot: Robot, parameters: Array) -> list[ServoRecord]:
             bias=bias,
             slope=(shifted_bias - bias) / _SLOPE_STEP,
             sliding=robot.slides[j],
+            added=robot.description.scale.find_added_inertia(log.name, joint),
+            current_size=None if log.current_size is None else log.current_size[:, j],
         )
         records.append(record)
     return records

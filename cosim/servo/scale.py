@@ -1,19 +1,23 @@
 """What fixes the size of torques in logs without torque.
 
 Positions depend on ratios of torques only: all torques times one factor move nothing. The factor
-comes from a stated gain, a stated torque that the servo reached, or gravity by the model's masses.
+comes from a stated gain, a stated torque that the servo reached, a known inertia that single logs
+added, a motor current with its constant, or gravity by the model's masses. A stated gain is taken
+as it is; of the others the one with the smallest error.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cosim.servo.current import CurrentReading
 from cosim.servo.interval import Interval
 from hesr_model.friction.servo import ScaleSource
 from hesr_model.robots.robot import RobotDescription
 
-_MOST_ERROR = 0.3  # largest relative error of gravity over the gain that still fixes the size
-_CONTRADICTION = 3.0  # standard errors between a stated gain and gravity
+_MOST_ERROR = 0.3  # largest relative error of a fitted reference that still fixes the size
+_CONTRADICTION = 3.0  # standard errors between two sources
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,42 +29,95 @@ class TorqueScale:
     source : what fixes it.
     gain : gain of the servo [N.m/rad], 1 without a source.
     error : relative standard error of what is stated; None without a source.
-    follows_gravity : whether the gain is the inverse of gravity over the gain, whose errors of
-        the fit then enter those of all torques.
-    contradiction : stated gain over that of gravity if the two disagree, else None.
+    reference : fitted value over the gain whose size is known, such as the factor of the bodies;
+        its error enters those of all torques. None if none is needed.
+    fit_error : relative standard error of the reference.
+    contradiction : gain over that of gravity if the two disagree, else None.
     """
 
     source: ScaleSource
     gain: float = 1.0
     error: float | None = None
-    follows_gravity: bool = False
+    reference: str | None = None
+    fit_error: float = 0.0
     contradiction: float | None = None
 
+    @property
+    def total_error(self) -> float:
+        """Relative standard error of the gain."""
+        return float(np.hypot(self.error or 0.0, self.fit_error))
 
-def find_scale(interval: Interval, description: RobotDescription, j: int) -> TorqueScale:
-    """Return the size of the torques of joint j, from its fit over the gain."""
+
+def find_scale(
+    interval: Interval,
+    description: RobotDescription,
+    j: int,
+    current: CurrentReading | None = None,
+) -> TorqueScale:
+    """Return the size of the torques of joint j, from its fit over the gain and its current."""
+    gravity = _find_by_reference(
+        interval, "body_factor", 1.0, source="gravity", error=description.scale.body_error
+    )
     servo = description.servo
-    body_error = description.scale.body_error
-    gravity, gravity_error = interval.find("body_factor")
-    has_gravity = gravity > 0.0 and gravity_error < _MOST_ERROR * gravity
-    relative_error = gravity_error / gravity if has_gravity else np.inf
-    gain = None if servo.kp is None else servo.expand_per_joint("kp", len(description.joints))[j]
-    if gain is not None:
-        contradiction = None
-        if has_gravity:
-            spread = float(np.sqrt(relative_error**2 + servo.gain_error**2 + body_error**2))
-            ratio = gain * gravity
-            if abs(np.log(ratio)) > _CONTRADICTION * spread:
-                contradiction = ratio
-        return TorqueScale(
-            source="gain", gain=gain, error=servo.gain_error, contradiction=contradiction
+    joint_count = len(description.joints)
+    if servo.kp is not None:
+        gain = servo.expand_per_joint("kp", joint_count)[j]
+        return _compare(
+            TorqueScale(source="gain", gain=gain, error=servo.gain_error), gravity=gravity
         )
-    limit, _ = interval.find("torque_limit")
-    if servo.torque_limit is not None and limit > 0.0:
-        stated = servo.expand_per_joint("torque_limit", len(description.joints))[j]
-        return TorqueScale(source="stall torque", gain=stated / limit, error=servo.gain_error)
-    if has_gravity:
-        return TorqueScale(
-            source="gravity", gain=1.0 / gravity, error=body_error, follows_gravity=True
+    candidates = list(_list_stated(interval, description, j, current))
+    known = [candidate for candidate in [*candidates, gravity] if candidate is not None]
+    if not known:
+        return TorqueScale(source="none")
+    best = min(known, key=lambda candidate: candidate.total_error)
+    return best if best.source == "gravity" else _compare(best, gravity=gravity)
+
+
+def _list_stated(
+    interval: Interval, description: RobotDescription, j: int, current: CurrentReading | None
+) -> Iterator[TorqueScale | None]:
+    """Yield the sizes by what is stated of joint j beside its gain; None where a fit lacks it."""
+    servo = description.servo
+    joint_count = len(description.joints)
+    if servo.torque_limit is not None:
+        limit = servo.expand_per_joint("torque_limit", joint_count)[j]
+        yield _find_by_reference(
+            interval, "torque_limit", limit, source="stall torque", error=servo.gain_error
         )
-    return TorqueScale(source="none")
+    yield _find_by_reference(interval, "added_factor", 1.0, source="added inertia", error=0.0)
+    constants = description.log.torque_per_ampere
+    if constants is None or current is None or current.kind != "motor current":
+        return
+    relative_error = current.slope_error / max(current.slope, 1e-300)
+    if relative_error < _MOST_ERROR:
+        yield TorqueScale(
+            source="current",
+            gain=abs(constants[j]) * current.slope,
+            error=float(np.hypot(servo.gain_error, relative_error)),
+        )
+
+
+def _find_by_reference(
+    interval: Interval, name: str, size: float, *, source: ScaleSource, error: float
+) -> TorqueScale | None:
+    """Return the size of torques by a fitted value whose true size is known."""
+    value, value_error = interval.find(name)
+    if not value > 0.0 or value_error > _MOST_ERROR * value:
+        return None
+    return TorqueScale(
+        source=source,
+        gain=size / value,
+        error=error,
+        reference=name,
+        fit_error=value_error / value,
+    )
+
+
+def _compare(scale: TorqueScale, *, gravity: TorqueScale | None) -> TorqueScale:
+    """Return a size of torques, with its contradiction to gravity if they disagree."""
+    if gravity is None:
+        return scale
+    ratio = scale.gain / gravity.gain
+    spread = np.hypot(scale.total_error, gravity.total_error)
+    is_contradiction = abs(np.log(ratio)) > _CONTRADICTION * spread
+    return replace(scale, contradiction=ratio) if is_contradiction else scale

@@ -351,7 +351,7 @@ def require_one_way(logs: Sequence[Log], *, from_commands: bool) -> None:
     if not from_commands:
         raise LogError(
             f"{without_torque[0].where}: has no torque, which this command needs; without it, "
-            "'hesr fit' finds friction from commands and positions.",
+            "'hesr fit' and 'hesr identify' use commands and positions.",
             code="log.no_torque",
             where=without_torque[0].where,
             key="tau",

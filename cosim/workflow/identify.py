@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from cosim.workflow.answer import Answer, Written, read_health, written_files
@@ -96,7 +97,8 @@ def identify(
     body. Logs of more than 4 million numbers are read in pieces, with memory
     that does not grow with the rows and a free body, except with `method`
     paper, `friction`, `payload`, or `body` nominal or physical; the checks then
-    read eight pieces.
+    read eight pieces. From logs with commands and no torque follow servo, armature
+    and friction of each joint; the links are those of the model file.
 
     Examples
     --------
@@ -132,13 +134,22 @@ def identify(
     all_at_once = option in ("nominal", "physical") or friction is not None or payload is not None
     in_pieces = method == "stacked" and not all_at_once
     sources = [*forward_sources, *backward_sources]
-    checked = read_checked_logs(sources, robot, accepted, progress, in_pieces=in_pieces)
+    checked = read_checked_logs(
+        sources, robot, accepted, progress, in_pieces=in_pieces, from_commands=True
+    )
     forward_logs = checked.logs[: len(forward_sources)]
     backward_logs = checked.logs[len(forward_sources) :]
 
     progress("identifying", 0, 1)
     carried_payload = None
-    if payload is not None:
+    if checked.lacks_torque:
+        if backward_sources or all_at_once or method == "paper" or option == "free":
+            raise ArgumentError(
+                "the logs have no torque; leave out 'reversed_logs', 'method', 'body', 'physical', "
+                "'friction' and 'payload'."
+            )
+        identified_body = _identify_from_commands(checked, progress)
+    elif payload is not None:
         identified_body, carried_payload = _identify_payload(checked, payload)
     elif friction is not None and rigid_body is not None:
         identified_body = identify_again(
@@ -193,6 +204,15 @@ def _require_compatible(
         raise ArgumentError("'body' and 'physical' exclude 'friction'; give one of them.")
     if method == "paper" and option == "nominal":
         raise ArgumentError("'method' paper excludes 'body' nominal; give one of them.")
+
+
+def _identify_from_commands(checked: CheckedLogs, progress: Stages) -> RigidBody:
+    """Return the model file's links with the armature that the servos turn."""
+    from cosim.servo.body import identify_from_commands
+
+    return identify_from_commands(
+        checked.logs, checked.robot, progress=partial(progress, "fitting servos to commands")
+    )
 
 
 def _identify_payload(checked: CheckedLogs, body: BodyArg) -> tuple[RigidBody, Payload]:

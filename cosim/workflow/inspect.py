@@ -42,6 +42,7 @@ class Inspection(Answer):
     constants: Sequence[TorqueConstant] = ()
     next_command: str = ""
     failure: str = ""  # reason why no study can run
+    currents: Sequence[str] = ()  # what currents without a sign are, by joint
     files: Sequence[Path] = field(default_factory=tuple)
 
     @property
@@ -81,6 +82,7 @@ class Inspection(Answer):
         ]
         if any(not log.has_torque for log in self.proposal.logs):
             lines.append("No torque: friction is found from commands and positions.")
+        lines += self.currents
         if not self.proposal.first_findings:
             lines.append("Nothing wrong or unusual was found.")
         lines += [f"proposed: {key}: {text}" for key, text in self.proposal.reasons.items()]
@@ -242,8 +244,21 @@ def inspect(
         constants=constants,
         next_command=_next_command(write, study, is_ready=is_ready),
         failure=failure,
+        currents=() if has_errors else _describe_currents(proposal),
         files=written,
     )
+
+
+def _describe_currents(proposal: Proposal) -> list[str]:
+    """Return what currents without a sign are in logs without torque."""
+    from hesr_model.robots.robot import Robot
+
+    logs = [log for log in proposal.logs if not log.has_torque and log.current_size is not None]
+    if not logs or proposal.description is None:
+        return []
+    from cosim.servo.current import describe_currents
+
+    return describe_currents(logs, Robot(proposal.description))
 
 
 def _require_robot(

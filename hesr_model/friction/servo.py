@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, Self
 
-ScaleSource = Literal["gain", "stall torque", "gravity", "none"]
+ScaleSource = Literal["gain", "stall torque", "gravity", "added inertia", "current", "none"]
 """What fixes the size of all torques; without any they are in units of the gain."""
 
 
@@ -21,6 +21,7 @@ class JointServo:
     command_filter : time constant of a filter of the commands [s].
     speed_limit : of followed commands [rad/s]; None if none was reached.
     body_factor : factor of inertia and gravity of the links.
+    added_factor : factor of known inertias that single logs added.
     """
 
     kp: float
@@ -32,6 +33,7 @@ class JointServo:
     command_filter: float = 0.0
     speed_limit: float | None = None
     body_factor: float = 1.0
+    added_factor: float = 1.0
 
     def scale(self, factor: float) -> Self:
         """Return the servo with all torques multiplied, which moves nothing."""
@@ -44,6 +46,7 @@ class JointServo:
             armature=factor * self.armature,
             torque_limit=None if limit is None else factor * limit,
             body_factor=factor * self.body_factor,
+            added_factor=factor * self.added_factor,
         )
 
 

@@ -1,7 +1,7 @@
 """Joints of a robot that logs contain, and joints that rest in them."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from os import PathLike
 from typing import Any
 
@@ -123,9 +123,12 @@ def apply_changes(description: RobotDescription, changes: Mapping[str, Any]) -> 
 
 
 def remove_joints(
-    description: RobotDescription, locked: Mapping[str, float], *, temperatures: bool = False
+    description: RobotDescription, locked: Mapping[str, float], optional: Collection[str] = ()
 ) -> RobotDescription:
-    """Return a description without the joints that `locked` locks [rad or m], and their columns."""
+    """Return a description without the joints that `locked` locks [rad or m], and their columns.
+
+    `optional` are the quantities that logs may lack and these have.
+    """
     if description.transmission:
         raise RobotError(
             f"robot '{description.name}' has a [transmission], whose motors turn joints that "
@@ -140,7 +143,7 @@ def remove_joints(
         key: tuple(joint for joint in getattr(description, key) if joint not in locked)
         for key in ("springs", "balancers")
     }
-    for key in ["q", "dq", "q_link", "tau", "current", *(["temperature"] if temperatures else [])]:
+    for key in ("q", "dq", "q_link", "tau", "current", "current_size", *optional):
         pattern = getattr(description.log.columns, key)
         if pattern and "{name}" not in pattern:
             entries_by_key[f"log.columns.{key}"] = tuple(column_names(pattern, description.joints))

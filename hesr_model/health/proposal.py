@@ -36,7 +36,7 @@ from hesr_model.health.positions import is_plausible_period
 from hesr_model.health.velocity import match_velocity
 from hesr_model.logs.csv_text import HeaderError
 from hesr_model.logs.guess import guess_columns
-from hesr_model.logs.log_format import LogFormat
+from hesr_model.logs.log_format import OPTIONAL, LogFormat
 from hesr_model.logs.log_table import LogTable
 from hesr_model.logs.readers.formats import find_format
 from hesr_model.logs.robot_log import Log
@@ -208,9 +208,11 @@ def propose(paths: Sequence[Path], description: RobotDescription, *, has_model: 
             f"likely: {', '.join(resting_joints)} rest{'s' * (len(resting_joints) == 1)} in all "
             "logs"
         )
-        has_temperature = any(log.temperature is not None for log in logs)
+        optional = [
+            name for name in OPTIONAL if any(getattr(log, name) is not None for log in logs)
+        ]
         description, logs, examination = read_and_examine(
-            remove_joints(description, resting_joints, temperatures=has_temperature)
+            remove_joints(description, resting_joints, optional)
         )
     if description.log.filter_cutoff == stated_cutoff:
         reasons.pop("log.filter_cutoff", None)  # of a change that was only tried

@@ -9,7 +9,7 @@ from hesr_model.errors import LogError
 from hesr_model.support.arrays import Array
 
 MAX_NUMBER = 1e20  # in any unit; nanoseconds since 1970 are 2e18
-SIGNALS = ("q", "dq", "tau", "load", "temperature", "q_link", "q_cmd", "dq_cmd")
+SIGNALS = ("q", "dq", "tau", "load", "temperature", "q_link", "q_cmd", "dq_cmd", "current_size")
 _LONGEST_PERIOD = 1.0  # [s] between rows; friction cannot be seen in slower logs
 _MIN_CORRELATION = 0.9  # of a velocity and the slope of its position
 _RATIO_MARGIN = 0.1  # relative

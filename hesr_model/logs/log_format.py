@@ -68,6 +68,7 @@ class LogColumns(Config):
     `t` may be two columns, of whole seconds and of the nanoseconds since, or of the unit that the
     second name ends with, as in 'tv_usec'. `q = ""` integrates velocity.
     `q_link` names encoders behind elastic gears, whose motors then have `q`, divided by the gear.
+    `current_size` names currents without a sign, of logs with commands and no torque.
     A list instead of the table, or `names`, names all columns of files without a header, in order.
     """
 
@@ -81,6 +82,7 @@ class LogColumns(Config):
     temperature: Columns = OPTIONAL["temperature"]
     q_cmd: Columns = OPTIONAL["q_cmd"]
     dq_cmd: Columns = OPTIONAL["dq_cmd"]
+    current_size: Annotated[str | tuple[str, ...], AfterValidator(_require_place_unless_empty)] = ""
 
     @model_validator(mode="before")
     @classmethod

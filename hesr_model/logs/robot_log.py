@@ -29,7 +29,7 @@ _MIN_TWIST = 1e-12
 _MAX_TWIST = 0.1  # of a gear [rad], and over the joint's motion
 _USUAL_TWIST = 5e-3  # [rad] of a gear whose joint hardly moves
 _UNITS = {"q": "rad", "dq": "rad/s", "tau": "N.m", "temperature": "degC"}
-_UNITS |= {"q_link": "rad", "q_cmd": "rad", "dq_cmd": "rad/s"}
+_UNITS |= {"q_link": "rad", "q_cmd": "rad", "dq_cmd": "rad/s", "current_size": "A"}
 
 
 class _LogRobot:
@@ -67,6 +67,7 @@ class Log:
         None if not logged.
     q_cmd, dq_cmd : commanded position and velocity (N, n) [rad, rad/s; m, m/s];
         None if not logged.
+    current_size : (N, n) [A], currents without a sign; None if not logged.
     path, sha256 : file of the log, and its hash.
     dropped : number of rows left out, by `LogFormat.missing`.
     robot : description, also made of a robot file, URDF, MJCF, `Robot`, or the
@@ -85,6 +86,7 @@ class Log:
     q_link: Array | None = None
     q_cmd: Array | None = None
     dq_cmd: Array | None = None
+    current_size: Array | None = None
     path: Path | None = None
     sha256: str = ""
     dropped: int = 0
@@ -308,6 +310,7 @@ def convert_samples(path: Path, samples: LogSamples, description: RobotDescripti
         dq=dq,
         q_cmd=convert_signal("q", samples.q_cmd),
         dq_cmd=convert_signal("dq", samples.dq_cmd),
+        current_size=_convert_current_size(samples, description),
         tau=tau,
         load=load,
         temperature=temperature,
@@ -316,6 +319,14 @@ def convert_samples(path: Path, samples: LogSamples, description: RobotDescripti
         robot=description,
         is_checked=True,  # with places in the file
     )
+
+
+def _convert_current_size(samples: LogSamples, description: RobotDescription) -> Array | None:
+    """Return the currents (N, n) [A] whose sign was not logged."""
+    if samples.current_size is None:
+        return None
+    factors = description.log.units.factors("current", len(description.joints))
+    return np.abs(samples.current_size * factors)
 
 
 def integrate_velocity(t: Array, dq: Array) -> Array:
@@ -433,7 +444,7 @@ def _convert_q_link(
 
 
 def _require_usable_numbers(path: Path, samples: LogSamples, joints: Sequence[str]) -> None:
-    for quantity in ("q", "dq", "effort", "temperature", "q_link"):
+    for quantity in ("q", "dq", "effort", "temperature", "q_link", "current_size"):
         values = getattr(samples, quantity)
         if values is not None and not np.all(is_usable := np.abs(values) <= MAX_NUMBER):
             k, column = np.argwhere(~is_usable)[0]

@@ -115,6 +115,19 @@ class RobotDescription(Config):
         return {**data, "log": {**log, "torque_per_ampere": (gain,) * count}}
 
     @model_validator(mode="after")
+    def _require_joints_of_inertia(self) -> Self:
+        for log, inertias in self.scale.inertia_added.items():
+            unknown = [joint for joint in inertias if joint not in self.joints]
+            if unknown:
+                raise RuleError(
+                    f"'scale.inertia_added.{log}' names '{unknown[0]}'; the joints are "
+                    f"{', '.join(self.joints)}",
+                    code="robot.inertia_added",
+                    key=f"scale.inertia_added.{log}",
+                )
+        return self
+
+    @model_validator(mode="after")
     def _set_gear_ratios(self) -> Self:
         if self.log.columns.q_link and (self.transmission or not self.rotor_inertia):
             raise RuleError(

@@ -1,5 +1,6 @@
 """The servo of a robot file, and what is known of the size of torques without a sensor."""
 
+from collections.abc import Mapping
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -28,6 +29,16 @@ class ServoDescription(Config):
 
 
 class ScaleDescription(Config):
-    """What fixes the size of torques: `body_error` is the relative error of the model's masses."""
+    """What fixes the size of torques.
+
+    `body_error` is the relative standard error of the model's masses. `inertia_added` are known
+    inertias [kg.m2; kg] that joints turned in single logs, as in
+    ``inertia_added.with_disc = {joint1 = 0.02}``; logs with and without them fix the size.
+    """
 
     body_error: Annotated[float, Field(ge=0, lt=1)] = 0.2
+    inertia_added: Mapping[str, Mapping[str, Annotated[float, Field(ge=0)]]] = {}
+
+    def find_added_inertia(self, log: str, joint: str) -> float:
+        """Return the known inertia that a joint turned in a log beside the model's bodies."""
+        return self.inertia_added.get(log, {}).get(joint, 0.0)

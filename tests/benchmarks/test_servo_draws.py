@@ -13,11 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hobby_servo import HobbyServo, draw_hobby_servo
+from hobby_servo import HobbyServo, draw_current, draw_hobby_servo
 from industrial_joint import IndustrialJoint, draw_industrial_joint
 from position_arm import FRICTION, JOINTS, KP, LATENCY, PositionArm, draw_position_arm, write_arm
 from scipy.special import ndtri
 
+from cosim.servo.choice import choose_from_commands
 from cosim.servo.engine import FINE_SUBSTEP, JointEngine
 from cosim.servo.model import fit_from_commands
 from cosim.servo.motion import predict_motion
@@ -399,3 +400,62 @@ def test_the_cost_of_a_fit_is_printed(tmp_path: Path) -> None:
         f"{fit_seconds / run_seconds:.0f} runs with fine inner steps"
     )
     assert model.servos[0].position_rmse < model.servos[0].ideal_rmse
+
+
+def test_no_size_is_claimed_about_a_vertical_axis(tmp_path: Path) -> None:
+    sources = []
+    for seed in range(count_draws(20)):
+        draw = draw_hobby_servo(make_folder(tmp_path, seed), seed, is_vertical=True)
+        sources.append(fit_draw(draw, "coulomb_viscous").servos[0].scale)
+    assert sources == ["none"] * len(sources)
+
+
+@pytest.mark.parametrize("kind", ["motor", "supply", "neither"])
+def test_currents_without_a_sign_are_told_apart(tmp_path: Path, kind: str) -> None:
+    said = {"motor": "that of the motor", "supply": "that of the supply", "neither": "not used"}
+    lines, errors = [], []
+    for seed in range(count_draws(20)):
+        draw = draw_hobby_servo(make_folder(tmp_path, seed), seed, is_vertical=True)
+        constant = 0.5 + 0.1 * seed
+        size = draw_current(draw, seed, kind, constant)
+        log_format = draw.robot.description.log.model_copy(
+            update={"torque_per_ampere": (constant,)}
+        )
+        robot = Robot(draw.robot.description.model_copy(update={"log": log_format}))
+        log = Log(t=draw.t, q=draw.q, q_cmd=draw.q_cmd, current_size=size, robot=robot)
+        model = fit_from_commands([log], robot, "coulomb_viscous", workers=1)
+        [fitted] = model.servos
+        assert said[kind] in " ".join(model.provenance["from_commands"])
+        assert fitted.scale == ("current" if kind == "motor" else "none")
+        if kind == "motor":
+            errors.append(abs(fitted.servo.kp / draw.servo.kp[0] - 1.0))
+            lines.append(f"{seed:3}: gain {errors[-1]:.2%}")
+    say(f"current of the {kind}, {count_draws(20)} draws", *lines)
+    assert max(errors, default=0.0) <= 0.03
+
+
+@pytest.mark.parametrize("law_name", ["coulomb_viscous", "stribeck"])
+def test_the_true_law_is_chosen(tmp_path: Path, law_name: str) -> None:
+    lines, hits = [], []
+    for seed in range(count_draws(20)):
+        draw = draw_hobby_servo(make_folder(tmp_path, seed), seed, law_name=law_name)
+        log = Log(t=draw.t, q=draw.q, q_cmd=draw.q_cmd, robot=draw.robot)
+        model = choose_from_commands([log], draw.robot, workers=1)
+        text = " ".join(model.provenance["choose"])
+        hits.append(model.law == law_name or f"tie with {law_name}" in text)
+        lines.append(f"{seed:3}: {model.law}; {text}")
+    say(f"chosen where {law_name} is true: {np.mean(hits):.0%}", *lines)
+    assert np.mean(hits) >= 0.9
+
+
+def test_the_cost_of_many_fits_is_printed(tmp_path: Path) -> None:
+    laws = ["coulomb_viscous", "stribeck", "bam_m1", "bam_m3", "bam_m4"]
+    seconds = 0.0
+    for seed in range(count_draws(12)):
+        draw = draw_hobby_servo(make_folder(tmp_path, seed), seed, rate=200.0, seconds=14.0)
+        started = time.process_time()
+        for law_name in laws:
+            fit_draw(draw, law_name)
+        seconds += time.process_time() - started
+    say(f"{len(laws) * count_draws(12)} fits to 14 s at 200 Hz: {seconds:.0f} CPU s")
+    assert seconds > 0.0

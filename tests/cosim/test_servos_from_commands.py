@@ -184,7 +184,8 @@ def test_the_command_prints_servo_scale_and_error(lever, cli: Hesr) -> None:
 
 def test_other_commands_and_laws_say_what_is_missing(lever, cli: Hesr) -> None:
     folder, draw = lever
-    said = cli("identify", folder / "log.csv", "--robot", folder / "robot.toml")
+    robot = folder / "robot.toml"
+    said = cli("inspect", folder / "log.csv", "--robot", robot, "--torque-constants")
     assert said.code == 2
     assert "has no torque" in said.err
     with pytest.raises(FitError, match="has memory"):
@@ -231,3 +232,28 @@ def test_the_gains_of_a_pid_are_found(tmp_path: Path) -> None:
     assert fitted.position_rmse < 1.3 * draw.step / np.sqrt(12.0)
     for name in ("kp", "ki", "kd"):
         assert getattr(fitted.servo, name) == pytest.approx(getattr(draw, name), rel=0.015)
+
+
+def test_a_body_is_identified_from_commands(lever, cli: Hesr) -> None:
+    folder, draw = lever
+    body_file = folder / "body.json"
+    robot = folder / "robot.toml"
+    said = cli("identify", folder / "log.csv", "--robot", robot, "-o", body_file)
+    assert said.code == 0, said.err
+    assert "scale from gravity" in said.out
+    body = hesr.RigidBody.read(body_file)
+    parameters = dict(zip(body.names, body.parameters, strict=True))
+    assert parameters["joint1.Ir"] == pytest.approx(draw.armature, rel=0.02)
+    assert body.friction[0, 0] == pytest.approx(draw.law.values["F_c"], rel=0.02)
+    refused = cli("identify", folder / "log.csv", "--robot", robot, "--method", "paper")
+    assert refused.code == 2
+    assert "no torque" in refused.err
+
+
+def test_no_body_is_identified_without_a_scale(tmp_path: Path, cli: Hesr) -> None:
+    draw = draw_hobby_servo(tmp_path, SEED, rate=RATE, seconds=20.0, is_vertical=True)
+    log = draw.write_log(tmp_path / "log.csv")
+    said = cli("identify", log, "--robot", tmp_path / "robot.toml", "-o", tmp_path / "body.json")
+    assert said.code == 2
+    assert "up to one factor" in said.err
+    assert not (tmp_path / "body.json").exists()

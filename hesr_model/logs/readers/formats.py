@@ -46,6 +46,7 @@ def read_samples(table: LogTable, description: RobotDescription) -> LogSamples:
         time=time,
         place=lambda k: f"row {table.row(k)}",
         q_link=_read_joints(table, columns.q_link, description) if columns.q_link else None,
+        current_size=_read_current_size(table, description),
         **{quantity: _read_optional(table, quantity, description) for quantity in OPTIONAL},
     )
 
@@ -76,6 +77,11 @@ def _read_joints(table: LogTable, columns: Columns, description: RobotDescriptio
     return table.numbers(
         column_names(columns, description.joints), missing=description.log.missing == "drop"
     )
+
+
+def _read_current_size(table: LogTable, description: RobotDescription) -> Array | None:
+    columns = description.log.columns.current_size
+    return _read_joints(table, columns, description) if columns else None
 
 
 def _read_optional(table: LogTable, quantity: str, description: RobotDescription) -> Array | None:

@@ -30,6 +30,7 @@ class LogSamples:
     q_link: Array | None = None
     q_cmd: Array | None = None
     dq_cmd: Array | None = None
+    current_size: Array | None = None
 
     def continue_time(self, log_format: LogFormat) -> "LogSamples":
         """Let time go on where a counter wraps (`log.wrap`), or after a gap where it restarts."""
