@@ -4,7 +4,7 @@ Whole logs run from their commands; the rows of a fold do not count in the fit t
 them. What is compared is the error of positions.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cosim.servo.fit import JointFit, JointProblem
+from cosim.servo.fit import JointProblem
+from cosim.servo.joint_fit import JointFit
 from cosim.servo.model import find_common_latency, finish_model
 from cosim.servo.record import ServoRecord, read_servo_records
 from cosim.servo.start import delay_commands
@@ -33,6 +34,7 @@ from hesr_model.support.arrays import Array, Integers
 from hesr_model.support.progress import Progress, silent
 
 FROM_COMMANDS = "from_commands"  # fact of the laws that are tried
+_CONFOUNDED = 1.5  # greatest gain over the smallest of laws that predict alike
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,7 +95,29 @@ def choose_from_commands(
         report=lambda *_: None,
         latency=latency,
     )
-    return replace(model, provenance={**model.provenance, CHOOSE: list(describe_choice(choice))})
+    sentences = [*describe_choice(choice), *_describe_ties(errors, judged, choice.laws)]
+    return replace(model, provenance={**model.provenance, CHOOSE: sentences})
+
+
+def _describe_ties(
+    errors: LeftOutErrors, judged: Sequence[Mapping[str, _Judgement]], chosen: Sequence[str]
+) -> Iterator[str]:
+    """Yield where laws predict alike: three numbers that suffice, and gains that differ."""
+    for j, joint in enumerate(errors.joints):
+        if chosen[j] == CoulombViscous.name:
+            yield f"{joint}: no law beats frictionloss, damping and armature on this log."
+        equal_fits = [
+            judged[j][law].fit
+            for law in select_laws(FROM_COMMANDS)
+            if law in judged[j] and not is_better(errors, chosen[j], law, j)
+        ]
+        factors = [fit.servo.body_factor for fit in equal_fits if fit.servo.body_factor > 0.0]
+        if factors and max(factors) > _CONFOUNDED * min(factors):
+            yield (
+                f"{joint}: gain and friction are confounded in this log: laws that predict alike "
+                f"have gains of {1.0 / max(factors):.3g} to {1.0 / min(factors):.3g} N.m/rad. "
+                "Log motion against more gravity, or state servo.kp."
+            )
 
 
 def _keep_simple_laws(errors: LeftOutErrors) -> LeftOutErrors:

@@ -6,13 +6,14 @@ errors, from several starts.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import scipy
 
 from cosim.servo.engine import FINE_SUBSTEP, SUBSTEP, JointEngine
-from cosim.servo.record import ServoRecord
+from cosim.servo.joint_fit import FitUnknown, JointFit
+from cosim.servo.record import ServoRecord, find_encoder_step
 from cosim.servo.start import (
     MAX_LATENCY,
     ServoStart,
@@ -39,91 +40,16 @@ _MAD_TO_DEVIATION = 1.4826  # standard deviation over the median size of normal 
 _LEAST_SPREAD = 1e-9  # of errors [rad; m]
 _LARGEST = 1e3  # of a logarithmic unknown over its start, and its inverse
 _INSIDE = 1e-9  # distance of a start from its bounds
-_DIFFERENCE = 1e-3  # step of a derivative, relative to an unknown or its scale
 _LATENCY_DIFFERENCE = 2e-4  # [s]
 _LATENCY_SCALE = 1e-3  # [s], so that the end of a search does not overlook latencies
 _LOST = 1e3  # error in place of a run that fails, over the range of the motion
 _LEAST_SHARE = 0.02  # smallest scale of a torque over the largest of the friction
 _LEAST_INTEGRAL = 0.1  # start of an integral gain over the gain [1/s]
 _TINY = 1e-7  # start of what least squares did not find, over the gain, and share of round-off
-_ROUND_OFF = 1e-9  # of positions [rad; m]
 _BLOCK = 2.0  # length of the blocks of time whose errors count as independent [s]
 _MUCH_LESS = 0.8  # share of the squares that makes fine inner steps worth their time
 _CLEAR = 2.0  # standard errors that one more unknown must gain
 _WORTH = 0.02  # and its share of the squares
-
-
-@dataclass(frozen=True, kw_only=True)
-class FitUnknown:
-    """An unknown of a fit: of the servo, or a coefficient of the law.
-
-    Attributes
-    ----------
-    name : field of the servo, or name of the coefficient.
-    of_law : whether it is a coefficient.
-    start : value [its unit, torques over kp].
-    scale : size of its changes.
-    lower, upper : bounds.
-    is_logarithmic : whether it changes by factors.
-    difference : step of its derivative, over the scale.
-    """
-
-    name: str
-    of_law: bool
-    start: float
-    scale: float
-    lower: float
-    upper: float
-    is_logarithmic: bool
-    difference: float = _DIFFERENCE
-
-    def encode(self, value: float) -> float:
-        """Return the number of the search for a value."""
-        return float(np.log(value)) if self.is_logarithmic else value / self.scale
-
-    def decode(self, number: float) -> float:
-        """Return the value of a number of the search."""
-        return float(np.exp(number)) if self.is_logarithmic else number * self.scale
-
-    def slope(self, number: float) -> float:
-        """Return the derivative of the value at a number of the search."""
-        return float(np.exp(number)) if self.is_logarithmic else self.scale
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class JointFit:
-    """Servo and law of one joint, with torques over the gain.
-
-    Attributes
-    ----------
-    servo : with kp 1 N.m/rad.
-    law : coefficients over the gain.
-    unknowns : what was fitted, by name.
-    values : (P,) of the unknowns.
-    jacobian : (N, P) of the position errors over the values.
-    residual : (N,) position errors [rad; m], simulated less measured.
-    blocks : (N,) number of the block of time of each row.
-    latency_slope : (N,) derivative of the position errors over a latency that was not fitted.
-    """
-
-    servo: JointServo
-    law: FrictionLaw
-    unknowns: tuple[FitUnknown, ...]
-    values: Array
-    jacobian: Array
-    residual: Array
-    blocks: Integers
-    latency_slope: Array | None = None
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the unknowns."""
-        return tuple(unknown.name for unknown in self.unknowns)
-
-    @property
-    def rmse(self) -> float:
-        """Root mean square of the position errors [rad; m]."""
-        return float(np.sqrt(np.mean(self.residual**2)))
 
 
 class JointProblem:
@@ -495,12 +421,6 @@ def _size(name: str, start: float) -> FitUnknown:
         upper=np.inf,
         is_logarithmic=False,
     )
-
-
-def find_encoder_step(records: Sequence[ServoRecord]) -> float:
-    """Return the smallest step of the measured positions [rad; m]."""
-    steps = np.concatenate([np.abs(np.diff(record.q)) for record in records])
-    return float(np.min(steps[steps > _ROUND_OFF], initial=np.inf))
 
 
 def _encode_starts(unknowns: Sequence[FitUnknown]) -> Array:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
-from cosim.servo.fit import JointFit
+from cosim.servo.joint_fit import JointFit
 from hesr_model.support.arrays import Array
 
 _LEAST_REST = 0.1  # share of the information on a value that counts as held by other blocks

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cosim.servo.fit import JointFit, JointProblem
+from cosim.servo.fit import JointProblem
 from cosim.servo.interval import compute_interval
+from cosim.servo.joint_fit import JointFit
 from cosim.servo.record import ServoRecord, read_servo_records
 from cosim.servo.result import finish_joint
 from cosim.servo.sentences import describe_servo

@@ -13,6 +13,7 @@ from hesr_model.rigid_body.servo import compute_commands
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
+_ROUND_OFF = 1e-9  # of positions [rad; m]
 _SLOPE_STEP = 1e-5  # [rad; m] between the postures of a difference
 
 
@@ -141,3 +142,9 @@ def _read_part(log: Log, robot: Robot, parameters: Array) -> list[ServoRecord]:
         )
         records.append(record)
     return records
+
+
+def find_encoder_step(records: Sequence[ServoRecord]) -> float:
+    """Return the smallest step of the measured positions [rad; m]."""
+    steps = np.concatenate([np.abs(np.diff(record.q)) for record in records])
+    return float(np.min(steps[steps > _ROUND_OFF], initial=np.inf))

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cosim.servo.current import CurrentReading, read_current
-from cosim.servo.fit import JointFit, find_encoder_step
 from cosim.servo.interval import NORMAL_QUANTILE, Interval, compute_interval
-from cosim.servo.record import ServoRecord
+from cosim.servo.joint_fit import JointFit
+from cosim.servo.record import ServoRecord, find_encoder_step
 from cosim.servo.scale import TorqueScale, find_scale
 from cosim.servo.start import delay_commands, find_moving_rows
 from hesr_model.errors import FitError

@@ -30,6 +30,7 @@ from hesr_model.support.progress import Stages, silent
 from hesr_model.support.result_folder import folder_written_whole
 
 PLANT = "Plant.fmu"
+_MUCH_MORE = 1.2  # error of a joint in the whole plant over that alone
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +56,17 @@ class MotionErrors:
             f"{_format_mrad(self.coupled or self.alone)} mrad from commands alone, "
             f"{_format_mrad(self.ideal)} of ideal servos."
         )
+
+    @property
+    def doubts(self) -> list[str]:
+        """Joints, by number, that the whole robot predicts clearly worse than each joint alone."""
+        pairs = list(zip(self.coupled, self.alone, strict=False))
+        return [
+            f"Log {self.log}: joint {number} errs {coupled / alone:.1f} times as much in the whole "
+            "plant as alone: the errors of its neighbours move it."
+            for number, (coupled, alone) in enumerate(pairs, start=1)
+            if coupled > _MUCH_MORE * alone
+        ]
 
 
 @dataclass(frozen=True, kw_only=True)

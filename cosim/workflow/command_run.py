@@ -62,7 +62,9 @@ class CommandRun(Answer):
     def _error_lines(self) -> list[str]:
         """Return the errors on tests, or else on the training logs."""
         tests = [errors for errors in self.outcome.errors if errors.is_test]
-        return [errors.sentence for errors in tests or self.outcome.errors]
+        shown = tests or self.outcome.errors
+        doubts = [doubt for errors in shown for doubt in errors.doubts]
+        return [*(errors.sentence for errors in shown), *doubts]
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return servos, laws and errors."""

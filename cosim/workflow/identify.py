@@ -97,8 +97,8 @@ def identify(
     body. Logs of more than 4 million numbers are read in pieces, with memory
     that does not grow with the rows and a free body, except with `method`
     paper, `friction`, `payload`, or `body` nominal or physical; the checks then
-    read eight pieces. From logs with commands and no torque follow servo, armature
-    and friction of each joint; the links are those of the model file.
+    read eight pieces. Logs with commands and no torque give servo, armature and
+    friction of each joint; the links are those of the model file.
 
     Examples
     --------

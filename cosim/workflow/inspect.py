@@ -256,7 +256,7 @@ def _describe_currents(proposal: Proposal) -> list[str]:
     logs = [log for log in proposal.logs if not log.has_torque and log.current_size is not None]
     if not logs or proposal.description is None:
         return []
-    from cosim.servo.current import describe_currents
+    from cosim.servo.inspection import describe_currents
 
     return describe_currents(logs, Robot(proposal.description))
 

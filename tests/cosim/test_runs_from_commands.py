@@ -1,6 +1,7 @@
 """`hesr run` and the choice of laws for logs without torque."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from hobby_servo import HobbyServo, draw_hobby_servo, run_along, write_robot
 from small_study import Hesr, hesr_here
 
 import hesr
+from cosim.servo.study import MotionErrors
 from fmu_src.check.run import check
 
 STUDY = """name = "lever"
@@ -102,3 +104,12 @@ def test_the_true_law_is_chosen(tmp_path: Path, law: str, seconds: float) -> Non
     model = hesr.fit(tmp_path / "log.csv", robot=tmp_path / "robot.toml", law="choose")
     assert model.law == law
     assert model.provenance["choose"]
+
+
+def test_joints_that_move_each_other_are_named() -> None:
+    errors = MotionErrors(
+        log="wave", is_test=True, ideal=(0.02, 0.03), alone=(0.001, 0.002), coupled=(0.0011, 0.004)
+    )
+    [doubt] = errors.doubts
+    assert "joint 2 errs 2.0 times" in doubt
+    assert replace(errors, coupled=()).doubts == []

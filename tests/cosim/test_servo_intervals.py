@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim.servo.fit import FitUnknown, JointFit
 from cosim.servo.interval import compute_interval
+from cosim.servo.joint_fit import FitUnknown, JointFit
 from cosim.servo.model import find_common_latency
 from hesr_model.fitting.estimator import estimator
 from hesr_model.friction.law import FrictionLaw

@@ -9,10 +9,9 @@ from hobby_servo import HobbyServo, draw_current, draw_hobby_servo
 from small_study import hesr_here
 
 from cosim.servo.current import find_exponent
-from cosim.servo.fit import find_encoder_step
 from cosim.servo.model import fit_from_commands
 from cosim.servo.motion import predict_motion
-from cosim.servo.record import read_servo_records
+from cosim.servo.record import find_encoder_step, read_servo_records
 from cosim.servo.result import count_releases
 from hesr_model.errors import ConfigError
 from hesr_model.friction.model import FrictionModel
@@ -172,7 +171,7 @@ def test_inspect_says_what_a_current_is(
     cli = hesr_here(capsys, monkeypatch)
     said = cli("inspect", tmp_path / "log.csv", "--robot", tmp_path / "robot.toml")
     assert said.code == 0, said.err
-    assert "joint1: the current is that of the motor" in said.out
+    assert "that of the motor" in said.out
 
 
 def test_a_joint_that_is_shaken_loose_is_counted(turntable: HobbyServo) -> None:
