@@ -198,7 +198,7 @@ class JointProblem:
             is_logarithmic=False,
             difference=_LATENCY_DIFFERENCE / _LATENCY_SCALE,
         )
-        if self._kind != "position":
+        if self._kind in ("pd", "pid"):
             yield _size("kd", factor * max(start.derivative, _LEAST_SHARE * start.viscous, _TINY))
         if self._kind == "pid":
             yield _size("ki", factor * max(start.integral, _LEAST_INTEGRAL))

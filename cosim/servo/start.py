@@ -93,7 +93,7 @@ def find_start(
             f"joint '{records[0].joint}' moves in fewer than {_LEAST_ROWS} rows; log more motion"
         )
     columns = _gather([_columns(record) for record in records], moving)
-    gain_count = {"position": 0, "pd": 1, "pid": 2}[kind]
+    gain_count = {"position": 0, "voltage": 0, "pd": 1, "pid": 2}[kind]
     best_cost = np.inf
     best: tuple[Array, float] | None = None
     for latency in np.arange(0.0, MAX_LATENCY, _LATENCY_STEP):

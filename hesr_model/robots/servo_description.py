@@ -7,7 +7,7 @@ from pydantic import Field
 
 from hesr_model.support.typed_files import Config
 
-ServoKind = Literal["position", "pd", "pid"]
+ServoKind = Literal["position", "voltage", "pd", "pid"]
 """Torque from position errors alone, with the error of speeds, and with the integral."""
 
 _Positive = Annotated[float, Field(gt=0)]
@@ -20,6 +20,8 @@ class ServoDescription(Config):
     `kp` [N.m/rad] and a `torque_limit` [N.m] that the logs reach fix the size of all torques.
     `gain_error` is the relative standard error of a stated gain or limit. Other gains are fitted:
     kind "position" has kp, "pd" also a gain of speed errors, "pid" also one of the integral.
+    "voltage" is "position" whose limit is that of the voltage: at stall, before back-EMF, which is
+    part of the viscous friction. So is that of "position", as the two act alike.
     """
 
     kind: ServoKind = "position"

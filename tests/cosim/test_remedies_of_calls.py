@@ -383,9 +383,28 @@ def commands_instead_of_torque(place: Place) -> Iterator[str]:
     draw_hobby_servo(place.folder, 3, rate=100.0).write_log(place.folder / "log.csv")
     robot = place.folder / "robot.toml"
     log = place.folder / "log.csv"
-    yield (sentence := refuse(lambda: hesr.identify(log, robot=robot)))
-    (command,) = re.findall(r"'hesr (\w+)' finds", sentence)
-    yield refuse(lambda: getattr(hesr, command)(log, robot=robot, law="coulomb_viscous"))
+    yield (sentence := refuse(lambda: hesr.inspect(log, robot=robot, torque_constants=True)))
+    assert re.findall(r"'hesr (\w+)'", sentence) == ["fit", "identify"]
+    refusals = [
+        refuse(lambda: hesr.fit(log, robot=robot, law="coulomb_viscous")),
+        refuse(lambda: hesr.identify(log, robot=robot)),
+    ]
+    yield "".join(refusals)
+
+
+def options_of_a_body_from_commands(place: Place) -> Iterator[str]:
+    """A log of commands: options that need torques are left out."""
+    draw_hobby_servo(place.folder, 3, rate=100.0).write_log(place.folder / "log.csv")
+    options = {"robot": place.folder / "robot.toml", "method": "paper", "body": "free"}
+
+    def identify() -> str:
+        return refuse(lambda: hesr.identify(place.folder / "log.csv", **options))
+
+    yield (sentence := identify())
+    for name in read_quoted(sentence, "leave out"):
+        options.pop(name, None)
+    assert list(options) == ["robot"]
+    yield identify()
 
 
 def find_public_model(place: Place, model: str, **options: Path | None) -> str:
@@ -435,6 +454,7 @@ EXECUTED: dict[str, Callable[[Place], Iterator[str]]] = {
     "model of its own": model_of_public_logs,
     "that of the robot as": missing_model_of_public_logs,
     "which this command needs; without it": commands_instead_of_torque,
+    "no torque; leave out": options_of_a_body_from_commands,
     "torque; give the name of": law_alone,
     "has no 'unit'; give it": unit_of_a_coefficient,
     "state; add it to 'coefficients'": coefficient_of_a_law,
