@@ -10,6 +10,7 @@ import shutil
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,8 @@ import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from hesr_model.errors import ConfigError, RobotError
+from hesr_model.robots import mjcf_forces
+from hesr_model.robots.mjcf_forces import measure_forces
 from hesr_model.robots.mjcf_source import MjcfSource
 from hesr_model.robots.urdf import UNLIMITED, read_urdf
 from hesr_model.support.arrays import Array
@@ -124,7 +127,8 @@ def _describe_once(
             raise RobotError(sanitise(str(compiled_tree["unusable"]), _MAX_MESSAGE_LENGTH))
         return json.dumps(compiled_tree).encode()
 
-    key: list[str | bytes] = [Path(__file__).read_bytes(), version("mujoco"), *content]
+    sources = [Path(__file__).read_bytes(), Path(mjcf_forces.__file__).read_bytes()]
+    key: list[str | bytes] = [*sources, version("mujoco"), *content]
     compiled_tree: Compiled = json.loads(compute_once("robots", key, make))
     if "refusal" in compiled_tree:
         return {"refusal": str(compiled_tree["refusal"])}
@@ -144,6 +148,7 @@ class _Torques(BaseModel):
     q: list[list[float]]
     dq: list[list[float]]
     ddq: list[list[float]]
+    held: dict[str, float]
     torques: list[list[float]]
 
 
@@ -157,6 +162,8 @@ class _Description(BaseModel):
     springs: dict[str, tuple[float, float]]
     loops: list[tuple[str, str]]
     check: _Torques
+    forces: dict[str, dict[str, float]] = {}
+    unknown_forces: str = ""
 
 
 @contextmanager
@@ -227,7 +234,10 @@ def describe_model(kind: str, source: str, folder: str) -> dict[str, Any]:
         with warnings.catch_warnings(action="ignore"):  # deprecated attributes
             spec = _strip_mjcf(Path(source)) if kind == "file" else _read_rigid_urdf(source)
             spec.compiler.fusestatic = False
-            return _describe_model(spec.compile())
+            description = _describe_model(spec.compile())
+            if kind == "file":
+                description |= _describe_forces(Path(source), description["check"])
+            return description
     except RobotError as error:
         return {"unusable": str(error)}
     except (ValueError, RuntimeError) as error:
@@ -307,11 +317,55 @@ def _copy_meshes(source: MjcfSource, mesh_names: set[str], folder: Path) -> None
             compiler.attrib.pop(kind, None)
 
 
-def _strip_mjcf(path: Path) -> Any:
-    """Read what has effects on rigid-body torques, with meshes if inertias need them."""
+def _describe_forces(path: Path, check: dict[str, Any]) -> dict[str, Any]:
+    """Return what the forces of a file are worth by joint, or why they are not known."""
+    try:
+        spec = _strip_mjcf(path, keep_forces=True)
+        spec.compiler.fusestatic = False
+        mj_model = spec.compile()
+        own_torques = np.array(check["torques"]).reshape(len(check["q"]), -1)
+        joint_kinds = [int(kind) for kind in _get_joint_transmissions()]
+        at_tendons = ~np.isin(mj_model.actuator_trntype, joint_kinds)
+        compute = partial(_compute_inverse, check=check)
+        forces = measure_forces(mj_model, compute, own_torques, at_tendons)
+    except (ValueError, RuntimeError, KeyError) as error:
+        return {"unknown_forces": on_one_line(error)}
+    return {
+        "forces": {
+            force: dict(zip(check["joints"], worths, strict=True))
+            for force, worths in forces.items()
+        }
+    }
+
+
+def _compute_inverse(mj_model: Any, *, check: dict[str, Any]) -> Array:
+    """Return torques (8, n) of the joints of a check at its states, with passive forces."""
+    mujoco = import_engine()
+    mj_model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    mj_model.opt.enableflags = 0
+    names = {mj_model.joint(j).name or f"joint{j}": j for j in range(mj_model.njnt)}
+    joints = [names[name] for name in check["joints"]]
+    q_addresses = mj_model.jnt_qposadr[joints]
+    dofs = mj_model.jnt_dofadr[joints]
+    data = mujoco.MjData(mj_model)
+    for name, position in check["held"].items():
+        data.qpos[mj_model.jnt_qposadr[names[name]]] = position
+    torques = []
+    for state in zip(check["q"], check["dq"], check["ddq"], strict=True):
+        data.qpos[q_addresses], data.qvel[dofs], data.qacc[dofs] = state
+        mujoco.mj_inverse(mj_model, data)
+        torques.append(data.qfrc_inverse[dofs].copy())
+    return np.array(torques)
+
+
+def _strip_mjcf(path: Path, *, keep_forces: bool = False) -> Any:
+    """Read what has effects on rigid-body torques, with meshes if inertias need them.
+
+    Passive forces, tendons, and shapes without meshes stay with `keep_forces`.
+    """
     mujoco = import_engine()
     spec = mujoco.MjSpec.from_file(str(path))
-    joint_transmissions = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    joint_transmissions = _get_joint_transmissions()
     removed_parts = [
         *spec.sensors,
         *spec.keys,
@@ -320,14 +374,17 @@ def _strip_mjcf(path: Path) -> Any:
         *spec.tuples,
         *spec.skins,
     ]
-    removed_parts += [
-        actuator for actuator in spec.actuators if actuator.trntype not in joint_transmissions
-    ]
+    if not keep_forces:
+        removed_parts += [
+            actuator for actuator in spec.actuators if actuator.trntype not in joint_transmissions
+        ]
     joint_equalities = (mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
     removed_parts += [
         equality for equality in spec.equalities if equality.type not in joint_equalities
     ]
-    for part in [*removed_parts, *spec.tendons]:
+    if not keep_forces:
+        removed_parts += spec.tendons
+    for part in removed_parts:
         spec.delete(part)
     meshes = set()
     bodies = _find_shaped_bodies(spec)
@@ -335,7 +392,7 @@ def _strip_mjcf(path: Path) -> Any:
         site.material = ""
     for geom in spec.geoms:
         geom.material = ""
-        if geom.parent.name not in bodies:
+        if geom.parent.name not in bodies and not (keep_forces and _has_no_file(geom)):
             spec.delete(geom)
         elif geom.meshname:
             meshes.add(geom.meshname)
@@ -344,6 +401,16 @@ def _strip_mjcf(path: Path) -> Any:
     for asset in (*unused, *spec.materials, *spec.textures, *spec.hfields):
         spec.delete(asset)
     return spec
+
+
+def _get_joint_transmissions() -> tuple[Any, Any]:
+    kinds = import_engine().mjtTrn
+    return (kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT)
+
+
+def _has_no_file(geom: Any) -> bool:
+    kinds = import_engine().mjtGeom
+    return geom.type not in (kinds.mjGEOM_MESH, kinds.mjGEOM_HFIELD, kinds.mjGEOM_SDF)
 
 
 def _find_shaped_bodies(spec: Any) -> set[str]:
@@ -382,9 +449,10 @@ def _describe_model(mj_model: Any) -> Compiled:
         mj_model.opt.gravity[:] = 0.0
     followers, held_positions, loops = _read_equalities(mj_model, names)
     armature = mj_model.dof_armature[mj_model.jnt_dofadr]
-    for j in np.flatnonzero(mj_model.jnt_actuatorid >= 0):
-        motor = mj_model.jnt_actuatorid[j]
-        armature[j] += mj_model.actuator_gear[motor, 0] ** 2 * mj_model.actuator_armature[motor]
+    # A joint may have several motors.
+    for motor in range(len(mj_model.actuator_armature)):
+        joint = mj_model.actuator_trnid[motor, 0]
+        armature[joint] += mj_model.actuator_gear[motor, 0] ** 2 * mj_model.actuator_armature[motor]
     single_joints = {
         name: j for j, name in enumerate(names) if mj_model.jnt_type[j] >= 2
     }  # slide, hinge
@@ -565,5 +633,6 @@ def _compute_torques(
     return {
         "joints": [name for name in single_joints if name not in held_positions],
         **states,
+        "held": held_positions,
         "torques": torques,
     }

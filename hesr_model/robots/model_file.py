@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from hesr_model.errors import RobotError
-from hesr_model.findings import Finding
+from hesr_model.findings import Finding, Severity, caution
 from hesr_model.robots.description import RobotDescription
 from hesr_model.robots.mjcf import compile_robot, compute_urdf_torques
+from hesr_model.robots.mjcf_forces import DAMPING, SPRINGS
 from hesr_model.robots.urdf import find_model_doubts, position_limits, read_urdf
 from hesr_model.support.arrays import Array
 from hesr_model.support.text import on_one_line
@@ -23,6 +24,11 @@ _MAX_TORQUE_DIFFERENCE = 1e-6  # allowed difference from MuJoCo over the largest
 Followers = dict[str, tuple[str, float, float]]  # by name: leader, multiplier, offset
 
 
+_MAX_FORCE_SHARE = 0.05  # of the torque; a force above it is an error
+_MIN_FORCE_SHARE = 0.001  # of the torque; a force below it is advice
+_TINY = 1e-300  # torque of a joint without any
+_FORCE_REMEDY = "remove it from the file if the robot does not have it"
+_FORCE_REMEDIES = {DAMPING: "the friction laws of its logs describe it"}
 _LINK_CHECKS = ("massless-link", "rounded-inertia")  # which concern all joints below a link
 
 
@@ -34,7 +40,9 @@ class RobotModelFile:
     each joint and the base; `joints_above` are the joints between each body and the base; `bodies`
     are those that joints carry; `loops` are pairs of bodies that close a chain, and its joints.
     `gravity` is in [m/s2]; `springs` are the parameters k and const of linear springs; `doubts` are
-    those about joints, `link_doubts` those about bodies.
+    those about joints, `link_doubts` those about bodies. `forces` are torques by force and joint
+    that the torque of the robot leaves out, `unknown_forces` why they are not known, and `torques`
+    the largest torque by joint at the same states [N.m or N].
     """
 
     path: Path
@@ -49,6 +57,9 @@ class RobotModelFile:
     link_doubts: Mapping[str, Finding]
     loops: Mapping[str, frozenset[str]]
     doubts: tuple[Finding, ...]
+    forces: Mapping[str, Mapping[str, float]]
+    unknown_forces: str
+    torques: Mapping[str, float]
 
     def find_doubts(self, joints: Sequence[str]) -> list[Finding]:
         """Return the doubts that concern the torques or the ranges of some joints.
@@ -70,7 +81,33 @@ class RobotModelFile:
                 concerned_names = {name}
             if doubt.check == "held-joint" or moving_names & concerned_names:
                 findings.append(doubt)
-        return findings
+        return [*findings, *self._doubt_forces(moving_names)]
+
+    def _doubt_forces(self, moving_names: Collection[str]) -> Iterator[Finding]:
+        """Yield a finding for each force that the torques of some joints leave out."""
+        if self.unknown_forces:
+            yield caution(
+                check="left-over",
+                where=str(self.path),
+                found=f"its springs, dampers and fluids are not known ({self.unknown_forces})",
+            )
+        for force, worths in self.forces.items():
+            joints = [name for name in worths if name in moving_names and worths[name] > 0.0]
+            if force == SPRINGS or not joints:
+                continue
+            shares = {name: worths[name] / max(self.torques[name], _TINY) for name in joints}
+            worst = max(joints, key=lambda name: shares[name])
+            yield Finding(
+                check="left-over",
+                severity=_judge_force(force, shares[worst]),
+                where=str(self.path),
+                joints=tuple(joints),
+                found=(
+                    f"its torque leaves out {force}, worth up to {worths[worst]:.3g} N.m (N if it "
+                    f"slides) of {self.torques[worst]:.3g} on '{worst}'"
+                ),
+                remedy=_FORCE_REMEDIES.get(force, _FORCE_REMEDY),
+            )
 
     def _select_names(self, root: str | None) -> list[str]:
         names = list(self.pin_model.names)[1:]
@@ -171,6 +208,13 @@ class RobotModelFile:
         return slopes, offsets
 
 
+def _judge_force(force: str, share: float) -> Severity:
+    """Return how bad it is to leave out a force of some share of the torque."""
+    if force == DAMPING or share < _MIN_FORCE_SHARE:
+        return "advice"
+    return "error" if share > _MAX_FORCE_SHARE else "warning"
+
+
 def dynamics_engine() -> Any:
     """Import Pinocchio; raise RobotError if one of its libraries is missing."""
     try:
@@ -224,11 +268,19 @@ def load(path: Path) -> RobotModelFile:
             for a, b in compiled.get("loops", ())
         },
         doubts=tuple(find_model_doubts(path, pin_model)),
+        forces=compiled.get("forces", {}),
+        unknown_forces=compiled.get("unknown_forces", ""),
+        torques=_find_largest_torques(compiled["check"]) if compiled else {},
     )
     reference_torques = compiled["check"] if compiled else compute_urdf_torques(urdf.text)
     if reference_torques is not None:
         _require_agreement(file, reference_torques)
     return file
+
+
+def _find_largest_torques(check: Mapping[str, Any]) -> dict[str, float]:
+    torques = np.array(check["torques"]).reshape(len(check["q"]), len(check["joints"]))
+    return dict(zip(check["joints"], np.abs(torques).max(axis=0).tolist(), strict=True))
 
 
 def _trace_chain(link: str, parents: Mapping[str, tuple[str, str]]) -> tuple[list[str], list[str]]:

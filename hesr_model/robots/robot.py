@@ -12,6 +12,7 @@ import numpy as np
 from hesr_model.findings import Finding
 from hesr_model.robots import model_file
 from hesr_model.robots.description import RobotDescription as RobotDescription
+from hesr_model.robots.mjcf_forces import SPRINGS
 from hesr_model.robots.transmission import LINEAR
 from hesr_model.robots.urdf import chain_limits, find_chain_doubts
 from hesr_model.support.arrays import Array, Mask
@@ -103,11 +104,12 @@ class Robot:
         q = np.random.default_rng(0).uniform(lower, upper, (8, self.n))
         masses, _ = self.dynamics(self.nominal_parameters, q, np.zeros_like(q))
         terms = {*self.description.springs, *self.description.balancers}
-        missing_springs = [
-            frame.name
+        spring_torques = self._model_file.forces.get(SPRINGS, {})
+        missing_springs = {
+            frame.name: spring_torques.get(frame.name, 0.0)
             for frame in self.tree
             if frame.name in self._model_file.springs and frame.name not in terms
-        ]
+        }
         findings = find_chain_doubts(
             self._model_file.path, self.joints, masses, self._limits[3], missing_springs
         )

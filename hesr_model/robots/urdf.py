@@ -1,7 +1,7 @@
 """URDF files: checked numbers, mimic joints, inertias; limits of joints and doubts about models."""
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -212,12 +212,18 @@ def find_model_doubts(path: Path, pin_model: Any) -> Iterator[Finding]:
 
 
 def find_chain_doubts(
-    path: Path, joints: Sequence[str], masses: Array, is_bare: Mask, sprung_joints: Iterable[str]
+    path: Path,
+    joints: Sequence[str],
+    masses: Array,
+    is_bare: Mask,
+    spring_torques: Mapping[str, float],
 ) -> Iterator[Finding]:
-    """Yield doubts about mass matrices (N, n, n), joints without range (n,) and `sprung_joints`."""
+    """Yield doubts about mass matrices (N, n, n), joints without range (n,) and springs."""
     build_doubt = partial(build_joint_finding, where=str(path))
-    for name in sprung_joints:
-        observation = "has a spring, which its torque leaves out"
+    for name, torque in spring_torques.items():
+        observation = (
+            f"has a spring of up to {torque:.3g} N.m (N if it slides), which its torque leaves out"
+        )
         yield build_doubt(
             "no-spring", name, observation, "list it in 'springs' of the robot file", "warning"
         )
