@@ -284,6 +284,11 @@ class Master:
             self._signal_name(e): self._convert_type(e, recorded[:done, i])
             for i, e in enumerate(self._wiring.observed)
         }
+        for name, output in self.system.outputs.items():
+            values = signals[output.signal]
+            for convert in output.conversions:
+                values = np.array([convert(value) for value in values.tolist()])
+            signals.setdefault(name, values)
         if self.times is None:
             t = self.system.begin + step_size * np.arange(done, dtype=float)
         else:

@@ -59,8 +59,19 @@ class Conversion(Config):
         return self.table.get(value, value) if self.table else self.factor * value + self.offset
 
 
+class SystemOutput(Config):
+    """An output of the system itself, with the conversions of its value in order."""
+
+    signal: Signal
+    conversions: tuple[Conversion, ...] = ()
+
+
 class SystemSpec(Config):
-    """A system of FMUs."""
+    """A system of FMUs.
+
+    `delay_undeclared` takes outputs of FMUs that do not state their dependencies as those of
+    the step before, so that loops through them run.
+    """
 
     name: str = "system"
     step: float = Field(gt=0.0)  # [s]
@@ -72,6 +83,8 @@ class SystemSpec(Config):
     conversions: Mapping[Signal, tuple[Conversion, ...]] = {}  # of connected inputs, in order
     open_inputs: bool = False  # unconnected inputs keep the start value of the FMU
     observe: tuple[Signal, ...] = ()
+    outputs: Mapping[str, SystemOutput] = {}
+    delay_undeclared: bool = False
     limits: Mapping[Signal, Bounds | tuple[Bounds, ...]] = {}  # the run ends outside these
 
     @model_validator(mode="after")

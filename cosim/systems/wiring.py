@@ -9,7 +9,7 @@ from typing import Any
 from cosim.systems.system import Bounds, SystemSpec, Value
 from fmu_src.run.master import Element
 from fmu_src.run.variables import Variables
-from hesr_model.errors import ConfigError, SimulationError
+from hesr_model.errors import ArgumentError, ConfigError, SimulationError
 from hesr_model.support.ledger import find_close_names, format_suggestion
 
 _ACCEPTED_TYPES: Mapping[str, tuple[str, ...]] = {
@@ -52,7 +52,7 @@ class Wiring:
                             code="system.open_input",
                             key=f"components.{name}.start.{variable}",
                         )
-        self.order = self._sort_components()
+        self.order = self._sort_components(system.delay_undeclared)
 
     def merge_start_values(
         self, extra_start: Mapping[str, Mapping[str, Value]]
@@ -169,27 +169,36 @@ class Wiring:
                 key=_find_key(where),
             )
 
-    def _sort_components(self) -> tuple[Element, ...]:
+    def _sort_components(self, delay_undeclared: bool) -> tuple[Element, ...]:
         # Lists, not sets, for a reproducible order.
         graph: dict[Element, list[Element]] = {
             target: [source] for target, source in self.sources.items()
         }
         for name, slave in self._slaves.items():
+            if delay_undeclared and not slave.declares_feedthrough:
+                continue
             for output, needed_inputs in slave.feedthrough.items():
                 graph[name, output] = [(name, element) for element in needed_inputs]
         try:
             return tuple(TopologicalSorter(graph).static_order())
         except CycleError as error:
             loop = error.args[1]
-            hint = "".join(
-                f" ('{name}' does not say what its outputs depend on: every input counts)"
+            undeclared = [
+                name
                 for name in dict.fromkeys(name for name, _ in loop)
                 if not self._slaves[name].declares_feedthrough
+            ]
+            hint = "".join(
+                f" ('{name}' does not say what its outputs depend on: every input counts)"
+                for name in undeclared
             )
-            raise self._error(
-                f"algebraic loop through direct feedthrough: {' -> '.join(map('.'.join, loop))}"
-                f"{hint}.",
+            if undeclared:
+                hint += "; 'order' \"jacobi\" exchanges values of the step before"
+            raise ArgumentError(
+                f"{self._path}: algebraic loop through direct feedthrough: "
+                f"{' -> '.join(map('.'.join, loop))}{hint}.",
                 code="system.loop",
+                where=self._path,
                 key="connections",
             ) from error
 

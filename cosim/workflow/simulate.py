@@ -6,10 +6,16 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from cosim.workflow.answer import Answer, Written, find_job, written_files
-from cosim.workflow.arguments import list_names, remember_trust, require_text, to_optional_path
+from cosim.workflow.arguments import (
+    list_names,
+    remember_trust,
+    require_choice,
+    require_text,
+    to_optional_path,
+)
 from hesr_model.errors import ArgumentError, ConfigError, SimulationError
 from hesr_model.support.files import PathArg, to_path, written_whole
 from hesr_model.support.progress import Progress, Stages, silent
@@ -22,6 +28,9 @@ if TYPE_CHECKING:
     from hesr_model.support.arrays import Array
 
 
+Exchange = Literal["jacobi", "gauss_seidel"]
+
+
 def simulate(
     system: PathArg,
     *,
@@ -31,6 +40,7 @@ def simulate(
     step: float | None = None,
     set: Names = (),  # noqa: A002  # the option's name
     input: PathArg | None = None,  # noqa: A002  # the option's name
+    order: Exchange | None = None,
     only: int | None = None,
     workers: int | None = None,
     cluster: str | None = None,
@@ -61,6 +71,9 @@ def simulate(
     input : path, optional
         FMU: CSV of inputs over time [s], linear for continuous inputs and held
         for others.
+    order : {"jacobi", "gauss_seidel"}, optional
+        System and SSP: exchange of values; outputs of FMUs that do not state
+        their dependencies are then those of the step before.
     only : int, optional
         Sweep: repeat this run only and write its signals.
     workers : int, optional
@@ -134,7 +147,11 @@ def simulate(
     if file is not None:
         _require_table(file)
     times = {"start": start, "stop": stop, "step": step}
+    if order is not None:
+        require_choice("order", order, get_args(Exchange))
     if path.suffix.lower() == ".fmu":
+        if order is not None:
+            raise ArgumentError(f"'order' is for a system, not {path}.")
         from cosim.systems.single import open_single
 
         remember_trust([path], trust=trust)
@@ -149,6 +166,9 @@ def simulate(
         return _run(open_fmu, file, partial(progress, path.stem))
     _require_system_options(path, times, start_values, input)
     with open_system(path, times, parse_start_values(path, start_values)) as system_spec:
+        if order is not None:
+            changes = {"order": order, "delay_undeclared": True}
+            system_spec = system_spec.model_copy(update=changes)
         remember_trust((component.fmu for component in system_spec.components), trust=trust)
         if not system_spec.observe:
             raise ConfigError(f"{path}: key 'observe' names no signals to write.")

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import IO, Self
 
 from hesr_model.errors import ArtifactError
+from hesr_model.findings import caution, log_findings
 from hesr_model.support.text import quote, sanitise
 
 MAX_ENTRIES = 20_000
@@ -102,8 +103,15 @@ class Archive:
                 raise self._refusal(
                     f"it claims {size} bytes unpacked; at most {MAX_TOTAL_BYTES} are read"
                 )
+            entries = {
+                entry.filename.replace("\\", "/"): entry
+                for entry in zip_entries
+                if not is_folder(entry)
+            }
             name_counts = Counter(
-                entry.filename.casefold() for entry in zip_entries if not is_folder(entry)
+                entry.filename.replace("\\", "/").casefold()
+                for entry in zip_entries
+                if not is_folder(entry)
             )
             for name, count in name_counts.items():
                 if count > 1:
@@ -111,7 +119,20 @@ class Archive:
             for name in name_counts:
                 for folder in name_counts.keys() & set(_list_folders(name)):
                     raise self._refusal(f"its entry {quote(folder)} is a file and a folder")
-            self._entries = {entry.filename: entry for entry in zip_entries if not is_folder(entry)}
+            self._entries = entries
+            if any("\\" in entry.filename for entry in zip_entries):
+                observation = "backslashes separate its folders"
+                remedy = "tools on other systems than Windows may not read it"
+                log_findings(
+                    [
+                        caution(
+                            check="archive-backslash",
+                            where=str(self.path),
+                            found=observation,
+                            remedy=remedy,
+                        )
+                    ]
+                )
             self._cleanup = cleanup.pop_all()
         return self
 
@@ -191,7 +212,7 @@ def _list_folders(name: str) -> Iterator[str]:
 
 def is_folder(entry: zipfile.ZipInfo) -> bool:
     """Whether an entry is a folder."""
-    return entry.filename.endswith("/")
+    return entry.filename.endswith(("/", "\\"))
 
 
 def hazards(entry: zipfile.ZipInfo) -> Iterator[str]:

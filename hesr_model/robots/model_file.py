@@ -16,7 +16,8 @@ from hesr_model.robots.mjcf import compile_robot, compute_urdf_torques
 from hesr_model.robots.mjcf_forces import DAMPING, SPRINGS
 from hesr_model.robots.urdf import find_model_doubts, position_limits, read_urdf
 from hesr_model.support.arrays import Array
-from hesr_model.support.text import on_one_line
+from hesr_model.support.process import collect_errors
+from hesr_model.support.text import on_one_line, sanitise
 
 _MAX_FINGER_RANGE = 0.1  # range of fingers [m]
 _FINGER_NAME = re.compile(r"finger|gripper|thumb|knuckle|jaw|(^|_)hand(_|$)", re.IGNORECASE)
@@ -29,6 +30,7 @@ _MIN_FORCE_SHARE = 0.001  # of the torque; a force below it is advice
 _TINY = 1e-300  # torque of a joint without any
 _FORCE_REMEDY = "remove it from the file if the robot does not have it"
 _FORCE_REMEDIES = {DAMPING: "the friction laws of its logs describe it"}
+_URDFDOM_ERROR = "Error:"  # begins a message of urdfdom
 _LINK_CHECKS = ("massless-link", "rounded-inertia")  # which concern all joints below a link
 
 
@@ -208,6 +210,12 @@ class RobotModelFile:
         return slopes, offsets
 
 
+def _find_reason(messages: Sequence[str]) -> str:
+    """Return the first error of urdfdom, which Pinocchio's own message does not contain."""
+    errors = [text for text in messages if text.startswith(_URDFDOM_ERROR)]
+    return sanitise(errors[0].removeprefix(_URDFDOM_ERROR).strip().rstrip(".")) if errors else ""
+
+
 def _judge_force(force: str, share: float) -> Severity:
     """Return how bad it is to leave out a force of some share of the torque."""
     if force == DAMPING or share < _MIN_FORCE_SHARE:
@@ -235,9 +243,11 @@ def load(path: Path) -> RobotModelFile:
     compiled = compile_robot(path) if path.suffix.lower() == ".xml" else {}
     urdf = read_urdf(path, compiled.get("urdf") or path.read_bytes())
     try:
-        pin_model = pin.buildModelFromXML(urdf.text)
+        with collect_errors() as messages:
+            pin_model = pin.buildModelFromXML(urdf.text)
     except Exception as error:  # many kinds
-        raise RobotError(f"{path}: cannot be parsed as a URDF ({on_one_line(error)}).") from error
+        reason = _find_reason(messages) or on_one_line(error)
+        raise RobotError(f"{path}: cannot be parsed as a URDF ({reason}).") from error
     # Pinocchio cannot reduce a model with a body that is named as a joint, moving or fixed.
     joint_names = {frame.name for frame in pin_model.frames if frame.type != pin.FrameType.BODY}
     for frame in pin_model.frames:

@@ -1,6 +1,5 @@
 """URDF files: checked numbers, mimic joints, inertias; limits of joints and doubts about models."""
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -14,6 +13,7 @@ import numpy as np
 from hesr_model.errors import RobotError
 from hesr_model.findings import Finding, build_joint_finding, caution
 from hesr_model.support.arrays import Array, Mask
+from hesr_model.support.xml_files import parse_xml
 
 UNLIMITED = 1e9  # position limit of a joint without one, which Pinocchio's URDF parser would refuse
 _NUMBERS = {
@@ -39,15 +39,12 @@ class Urdf:
 
 
 _XACRO = ("/xacro}", "{xacro}")  # ends of the namespace of its elements
-_UNBOUND_PREFIX = 27  # of expat: an element or attribute whose prefix is not declared
-_PREFIX = re.compile(r"[<\s/]([A-Za-z_][\w.-]*):[A-Za-z_][\w.-]*(?=[\s=/>])")
-_DECLARED_PREFIX = re.compile(r"\bxmlns:([\w.-]+)\s*=")
 
 
 def read_urdf(path: Path, text: str | bytes) -> Urdf:
     """Read a URDF; RobotError if a number cannot be read, or an axis or a mass cannot be."""
     try:
-        root = _parse(text.strip())
+        root = parse_xml(text.strip())
     except (ElementTree.ParseError, LookupError, ValueError) as error:  # or an encoding
         raise RobotError(f"{path}: cannot be parsed as a URDF ({error}).") from error
     tags = [element.tag for element in root.iter() if isinstance(element.tag, str)]
@@ -82,25 +79,6 @@ def read_urdf(path: Path, text: str | bytes) -> Urdf:
             followers[name] = mimic.get("joint", ""), float(factor), float(offset)
     plain_text = ElementTree.tostring(plain_root, encoding="unicode")
     return Urdf(text=plain_text, followers=followers, parents=parents, doubts=findings)
-
-
-def _parse(text: str | bytes) -> Element:
-    """Parse XML, also with prefixes of other tools as ``drake:`` that it does not declare.
-
-    The parsers of URDF know no namespaces, so that nobody misses the declaration.
-    """
-    try:
-        return ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        if error.code != _UNBOUND_PREFIX:
-            raise
-        content = text if isinstance(text, str) else text.decode()
-    prefixes = dict.fromkeys(_PREFIX.findall(content))
-    declared = {"xml", "xmlns", *_DECLARED_PREFIX.findall(content)}
-    declarations = "".join(
-        f' xmlns:{prefix}="{prefix}"' for prefix in prefixes if prefix not in declared
-    )
-    return ElementTree.fromstring(re.sub(r"<robot\b", f"<robot{declarations}", content, count=1))
 
 
 def _require_numbers(path: Path, owner: Element, parent: Element) -> None:

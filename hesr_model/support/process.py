@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from secrets import token_hex
 from subprocess import CompletedProcess
@@ -20,6 +20,8 @@ _ROUNDS = 10  # a process may start others before it is killed
 
 
 _SAFE_PATH = {"PYTHONSAFEPATH": "1"}  # as -P, for all Python that is started
+
+_STANDARD_ERROR = 2  # descriptor
 
 
 class FailedError(Exception):
@@ -148,6 +150,29 @@ def run(
         output.seek(0)
         text = output.read(_MAX_OUTPUT).decode("utf-8", "replace")
         return CompletedProcess(command, code, text)
+
+
+@contextlib.contextmanager
+def collect_errors() -> Iterator[list[str]]:
+    """Yield a list that afterwards holds the lines that libraries wrote to standard error.
+
+    They write to the descriptor, which belongs to the whole process.
+    """
+    lines: list[str] = []
+    try:
+        saved = os.dup(_STANDARD_ERROR)
+    except OSError:  # it is closed
+        yield lines
+        return
+    with tempfile.TemporaryFile() as file:
+        os.dup2(file.fileno(), _STANDARD_ERROR)
+        try:
+            yield lines
+        finally:
+            os.dup2(saved, _STANDARD_ERROR)
+            os.close(saved)
+            file.seek(0)
+            lines += file.read().decode(errors="replace").splitlines()
 
 
 def describe_end(code: int) -> str:

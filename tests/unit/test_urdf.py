@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from containing import Containing
+from containing import Containing, OneSentence
 
 from hesr_model.errors import RobotError
 from hesr_model.robots import model_file
@@ -264,3 +264,32 @@ def test_doubts_are_those_of_links_that_the_joints_move(tmp_path: Path) -> None:
         doubts = Robot(describe(path, *names)).doubts
         assert sorted(doubt.check for doubt in doubts) == checks, joints
         assert all("'j3'" in doubt.found for doubt in doubts if not doubt.joints)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ('<link name="b"/><link name="b"/>', "link 'b' is not unique"),
+        ("", "No link elements found"),
+        ('<link name="b"/><link name="c"/>', "Two root links found"),
+        (
+            '<link name="b"/><joint name="j" type="fixed"><parent link="b"/><child link="z"/>'
+            "</joint>",
+            "child link [z] of joint [j]",
+        ),
+        (
+            '<link name="b"/><link name="c"/><joint name="j" type="revolut"><parent link="b"/>'
+            '<child link="c"/></joint>',
+            "Joint [j] has no known type",
+        ),
+    ],
+)
+def test_the_reason_of_the_parser_is_in_the_sentence(
+    text: str, reason: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_text(f'<robot name="arm">{text}</robot>', encoding="utf-8")
+    with pytest.raises(RobotError) as error:
+        Robot(path)
+    assert str(error.value) == OneSentence(f"{path}: ", reason)
+    assert capfd.readouterr().err == ""

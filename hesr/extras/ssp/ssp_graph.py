@@ -14,6 +14,8 @@ from cosim.systems.system import Conversion, Name
 from fmu_src.run.variables import SI, Variables
 from hesr.extras.ssp.contents import UnitExponents
 from hesr_model.errors import ConfigError, SimulationError
+from hesr_model.findings import caution, log_findings
+from hesr_model.support.text import quote
 
 _NAME: TypeAdapter[str] = TypeAdapter(Name)
 
@@ -47,6 +49,7 @@ def _is_allowed(name: str) -> bool:
 
 
 TRUE = ("true", "1")
+FALSE = ("false", "0")
 
 ElementPath = tuple[str, ...]  # names of elements from the root system on
 ConnectorName = tuple[ElementPath, str]  # a connector
@@ -130,17 +133,18 @@ class ConnectorGraph:
         self.hops.setdefault(source, []).append(hop)
 
     def find_paths(
-        self, node: ConnectorName, path: tuple[Hop, ...] = ()
+        self, node: ConnectorName, path: tuple[Hop, ...] = (), *, to_root: bool = False
     ) -> Iterator[tuple[Hop, ...]]:
-        """Yield the ways from a connector to connectors of components."""
+        """Yield the ways from a connector to those of components, or of the whole system."""
         for hop in self.hops.get(node, ()):
             if hop in path:
                 raise ConfigError(f"'{format_connector(node)}' is connected to itself.")
             extended_path = (*path, hop)
-            if hop.target[0] in self.variables:
+            has_arrived = hop.target[0] == () if to_root else hop.target[0] in self.variables
+            if has_arrived:
                 yield extended_path
-            else:
-                yield from self.find_paths(hop.target, extended_path)
+            elif hop.target[0] not in self.variables:
+                yield from self.find_paths(hop.target, extended_path, to_root=to_root)
 
     def find_unit(self, node: ConnectorName) -> Unit | None:
         """Return the unit of a connector, that of the variable by default."""
@@ -180,8 +184,9 @@ class ConnectorGraph:
         where: str,
     ) -> Conversion:
         kind = transformation.kind
-        target_type = self.variables[target[0]][target[1]].type
-        if target_type not in _RESULT_TYPES.get(kind, ()):
+        # An output of the whole system has the type that its transformation gives.
+        target_type = self.variables[target[0]][target[1]].type if target[0] else ""
+        if target[0] and target_type not in _RESULT_TYPES.get(kind, ()):
             raise ConfigError(f"{where}: its transformation does not fit the type {target_type}.")
         if kind == "Linear":
             return Conversion(factor=transformation.factor, offset=transformation.offset)
@@ -226,6 +231,14 @@ def convert_to_unit(variables: Variables, name: str, value: float, unit: Unit, w
 def find_conversion(unit: Unit, target_unit: Unit, where: str) -> Conversion:
     """Return the conversion between two units; raise ConfigError if they differ in kind."""
     if unit[0] == target_unit[0] or unit[1] == target_unit[1] is not None:
+        return Conversion()
+    undefined = [name for name, base in (unit, target_unit) if base is None]
+    if undefined:
+        observation = f"the unit {quote(undefined[0])} is not defined, so that its values stay"
+        remedy = "define it in SI base units if it is another one"
+        log_findings(
+            [caution(check="undefined-unit", where=where, found=observation, remedy=remedy)]
+        )
         return Conversion()
     source_base = unit[1]
     target_base = target_unit[1]

@@ -22,6 +22,7 @@ from hesr.extras.ssp.contents import (
     read_units,
 )
 from hesr.extras.ssp.ssp_graph import (
+    FALSE,
     TRUE,
     ConnectorGraph,
     ConnectorName,
@@ -36,9 +37,10 @@ from hesr.extras.ssp.ssp_graph import (
     safe_names,
 )
 from hesr.extras.ssp.vocabulary import IRRELEVANT, USED
-from hesr_model.errors import ArgumentError, ConfigError, SimulationError
+from hesr_model.errors import ArgumentError, ConfigError, HesrError, SimulationError
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.ledger import Ledger
+from hesr_model.support.xml_files import parse_xml
 
 _PREFIXES = {key.removeprefix("xmlns:"): uri for key, uri in NAMESPACES.items()}
 _PREFIXES["ssm"] = _PREFIXES["ssv"].replace("Values", "Mapping")
@@ -49,6 +51,7 @@ _STEP_ANNOTATIONS = (
     (".//{*}FixedStepMaster", "stepSize"),
 )
 
+_DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+(e[+-]?\d+)?\s*", re.IGNORECASE)
 _MAX_FILE_NAME = 100  # characters
 _DEFAULT_ROWS = 500  # if neither the SSP nor its FMUs name a step
 _SOURCE_KINDS = ("output", "local", "calculatedParameter", "constant")
@@ -73,7 +76,10 @@ def open_ssp(
             if str(error).startswith(str(path)):
                 raise
             raise ConfigError(f"{path}: {error}") from error
-        yield SystemSpec.from_data(path, content)
+        try:
+            yield SystemSpec.from_data(path, content)
+        except HesrError as error:
+            raise reader.name_members(error) from error
 
 
 @dataclass(frozen=True)
@@ -83,6 +89,7 @@ class _Reader:
     folder: Path
     graph: ConnectorGraph = field(default_factory=ConnectorGraph)
     fmus: dict[ElementPath, Path] = field(default_factory=dict)
+    sources: dict[ElementPath, str] = field(default_factory=dict)  # of components
     steps: dict[ElementPath, str] = field(default_factory=dict)  # [s] of components
     start_values: dict[ElementPath, dict[str, Any]] = field(default_factory=dict)
     element_paths: list[ElementPath] = field(default_factory=list)
@@ -91,13 +98,21 @@ class _Reader:
     def __post_init__(self) -> None:
         object.__setattr__(self, "parameters", Ledger(str(self.path), "parameter"))
 
+    def name_members(self, error: HesrError) -> HesrError:
+        """Return an error with the names of FMUs in the SSP instead of where they were unpacked."""
+        sentence = str(error)
+        for element_path, fmu in self.fmus.items():
+            sentence = sentence.replace(str(fmu), self.sources[element_path])
+        return type(error)(sentence, code=error.code, where=error.where, key=error.key)
+
     def build_error(self, text: str) -> ConfigError:
         return ConfigError(f"{self.path}: {text}")
 
     def read_member(self, name: str, where: str = "", size_limit: int = MAX_ENTRY_BYTES) -> bytes:
-        # Sources are URIs, but some tools write plain names.
+        # Sources are URIs, but some tools write plain names, or backslashes.
         names = self.archive.names
-        candidates = (normpath(candidate) for candidate in (unquote(name), name))
+        plain_name = name.replace("\\", "/")
+        candidates = (normpath(candidate) for candidate in (unquote(plain_name), plain_name))
         member = next((candidate for candidate in candidates if candidate in names), None)
         if member is None:
             raise self.build_error(f"{where}{name} is missing.")
@@ -105,7 +120,8 @@ class _Reader:
 
     def parse_member(self, name: str, where: str = "") -> ET.Element:
         try:
-            root = ET.fromstring(self.read_member(name, where, MAX_TEXT_BYTES))
+            data = self.read_member(name, where, MAX_TEXT_BYTES)
+            root = parse_xml(data, _PREFIXES)
         except (ET.ParseError, LookupError, ValueError) as error:  # or an unknown encoding
             raise self.build_error(f"{where}{name} is not valid XML ({error}).") from error
         ledger = Ledger(f"{self.path}: {name}", "part")
@@ -156,6 +172,16 @@ class _Reader:
             )
             connections[target] = source
             conversions[target] = conversion_steps
+        observed = [
+            self.name_signal(component_names[element_path], connector)
+            for element_path, connector in self.list_outputs()
+        ]
+        system_outputs = {}
+        for output, output_source, conversion_steps in self.find_system_outputs():
+            element_path, connector = output_source
+            signal = self.name_signal(component_names[element_path], connector)
+            system_outputs[output] = {"signal": signal, "conversions": conversion_steps}
+            observed.append(signal)
         return {
             "name": root.get("name", self.path.stem),
             **self.choose_times(root, times),
@@ -172,10 +198,8 @@ class _Reader:
             "connections": connections,
             "conversions": conversions,
             "open_inputs": True,
-            "observe": [
-                self.name_signal(component_names[element_path], connector)
-                for element_path, connector in self.list_outputs()
-            ],
+            "observe": list(dict.fromkeys(observed)),
+            "outputs": system_outputs,
         }
 
     def choose_times(self, root: ET.Element, times: Mapping[str, float | None]) -> dict[str, Any]:
@@ -264,7 +288,8 @@ class _Reader:
                 f"{where} is of FMI {description.fmiVersion} or for model exchange only, which is"
             )
         self.fmus[element_path] = fmu
-        self.graph.variables[element_path] = Variables(fmu, description)
+        self.sources[element_path] = source
+        self.graph.variables[element_path] = Variables(Path(source), description)
         hint = node.find(".//{*}StepSizeHint")
         if hint is not None:
             self.steps[element_path] = hint.get("value", "")
@@ -292,7 +317,8 @@ class _Reader:
     def read_connection(self, node: ET.Element, system_path: ElementPath) -> None:
         ends: list[ConnectorName] = []
         for end in ("start", "end"):
-            element = node.get(f"{end}Element")
+            # OMSimulator writes an empty name for the system.
+            element = node.get(f"{end}Element") or None
             element_path = system_path if element is None else (*system_path, element)
             name = self.read_attribute(node, f"{end}Connector", "a connection")
             if element_path not in self.element_paths:
@@ -335,6 +361,16 @@ class _Reader:
                     )
                 steps = self.graph.find_conversions(source, path, self.graph.find_unit(source))
                 yield path[-1].target, source, steps
+
+    def find_system_outputs(
+        self,
+    ) -> Iterator[tuple[str, ConnectorName, tuple[Conversion, ...]]]:
+        """Yield the outputs of the whole system, their sources and conversions."""
+        for source in list(self.graph.hops):
+            for path in self.graph.find_paths(source, to_root=True):
+                if source[0] in self.fmus:
+                    steps = self.graph.find_conversions(source, path, self.graph.find_unit(source))
+                    yield path[-1].target[1], source, steps
 
     def list_outputs(self) -> list[ConnectorName]:
         """Return all outputs with a connector, or all outputs."""
@@ -452,12 +488,15 @@ class _Reader:
             if kind in ("String", "Enumeration"):
                 return ParameterValue(value=text)
             if kind == "Boolean":
-                return ParameterValue(value=text in TRUE)
+                if text.lower() not in (*TRUE, *FALSE):
+                    raise self.build_error(f"{where} is '{text}'; write true or false.")
+                return ParameterValue(value=text.lower() in TRUE)
             try:
                 number = int(text) if "Int" in kind else float(text)
             except ValueError as error:
+                hint = "; write a decimal point" if _DECIMAL_COMMA.fullmatch(text) else ""
                 raise self.build_error(
-                    f"{where} is '{text}', which is not of type {kind}."
+                    f"{where} is '{text}', which is not of type {kind}{hint}."
                 ) from error
             unit_name = node.get("unit")
             return ParameterValue(

@@ -17,7 +17,6 @@ from fmu_src.run.variables import SI, Variables
 from hesr.extras.ssp.contents import SSD, read_contents
 from hesr.extras.ssp.ssp import write_ssp
 from hesr.extras.ssp.ssp_graph import Unit, convert_to_unit, safe_names
-from hesr_model.errors import ConfigError
 
 Write = Callable[..., Path]
 Changes = Mapping[str, list[tuple[str, str]]]
@@ -105,18 +104,16 @@ def test_a_number_is_in_the_unit_of_its_variable(
     assert found == pytest.approx(value, rel=1e-12)
 
 
-def test_a_unit_unknown_to_the_fmu_is_refused() -> None:
-    about = description(variable("x", "parameter", unit="turn", relativeQuantity=None), units=UNITS)
-    with pytest.raises(
-        ConfigError,
-        match="here: deg cannot be converted into",
-    ):
-        convert_to_unit(Variables(Path("F.fmu"), about), "x", 1.0, ("deg", si(rad=1)), "here")
+def test_a_number_of_an_undefined_unit_stays_with_a_warning(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    about = description(variable("x", "parameter", unit="[m]", relativeQuantity=None), units=UNITS)
+    variables = Variables(Path("F.fmu"), about)
+    assert convert_to_unit(variables, "x", 1.5, ("deg", si(rad=1)), "here") == 1.5
+    assert "'[m]' is not defined" in caplog.text
 
 
 REFUSED: list[tuple[Changes, str]] = [
-    ({A: [MS[0]]},
-     "parameter 'T': ms cannot be converted"),
     ({A: [MS[0], (MS[1][0], MS[1][1].replace('s="1"', 'm="1"'))]},
      "parameter 'T': ms cannot be converted"),
     ({A: [MS[0], (MS[1][0], MS[1][1].replace("1e-3", "tiny"))]},
