@@ -103,6 +103,21 @@ def test_a_stated_gain_separates_links_and_armature(turntable: HobbyServo) -> No
     assert np.sqrt(np.mean(errors**2)) == pytest.approx(fitted.position_rmse, rel=0.05)
 
 
+def test_a_gain_withheld_is_found_and_one_given_is_kept(tmp_path: Path) -> None:
+    draw = draw_hobby_servo(tmp_path, 3, rate=100.0, extra="[scale]\nbody_error = 0.01")
+    true_gain = draw.servo.kp[0]
+    withheld = fit(draw, draw.robot)
+    given = fit(draw, describe(draw, servo=ServoDescription(kp=true_gain, gain_error=0.01)))
+    found = withheld.servos[0]
+    assert (found.scale, given.servos[0].scale) == ("gravity", "gain")
+    assert abs(found.servo.kp - true_gain) < found.intervals["kp"]
+    assert given.servos[0].servo.kp == true_gain
+    assert not any("disagree" in text for text in given.provenance["from_commands"])
+    for name, value in given.laws[0].values.items():
+        ratio = withheld.laws[0].values[name] / found.servo.kp
+        assert value / true_gain == pytest.approx(ratio, rel=1e-9)
+
+
 def test_logs_with_and_without_a_disc_fix_the_size(turntable: HobbyServo, tmp_path: Path) -> None:
     with_disc = draw_hobby_servo(
         tmp_path, 3, rate=100.0, is_vertical=True, added_inertia=DISC, command_seed=8
