@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from cosim.servo.fit import JointProblem
 from cosim.servo.joint_fit import JointFit
-from cosim.servo.model import find_common_latency, finish_model
+from cosim.servo.model import find_common_latency, finish_model, require_suitable
 from cosim.servo.record import ServoRecord, read_servo_records
 from cosim.servo.start import delay_commands
 from cosim.study.verdict import describe_choice
@@ -48,6 +48,7 @@ class _Judgement:
 def choose_from_commands(
     logs: Sequence[Log],
     robot: Robot,
+    laws: Sequence[str] = (),
     *,
     provenance: Mapping[str, Any] | None = None,
     workers: int | None = None,
@@ -59,6 +60,7 @@ def choose_from_commands(
     ----------
     logs : logs with commanded positions.
     robot : robot of the logs.
+    laws : that are tried beside the baselines, the simplest first; by default some without memory.
     provenance : JSON data on the origin of the model.
     workers : processes, by default one per core.
     progress : called with fits done and in total.
@@ -68,18 +70,19 @@ def choose_from_commands(
     FitError
         If no law can be fitted to a joint, or commands do not explain its motion.
     """
+    tried = _list_laws(laws)
     records = read_servo_records(logs, robot, robot.nominal_parameters)
     names = [record.log for record in records[0]]
     fold_of_row = [
         numbers.astype(int)
         for numbers in number_rows(names, [record.t for record in records[0]], FOLD_COUNT)
     ]
-    judged = _judge_all(records, robot, np.concatenate(fold_of_row), workers, progress)
+    judged = _judge_all(records, robot, tried, np.concatenate(fold_of_row), workers, progress)
     latency = find_common_latency([joint[CoulombViscous.name].fit for joint in judged])
-    laws = [law for law in select_laws(FROM_COMMANDS) if all(law in joint for joint in judged)]
-    errors = _collect_errors(records, judged, laws, fold_of_row, latency[0])
+    fitted = [law for law in tried if all(law in joint for joint in judged)]
+    errors = _collect_errors(records, judged, fitted, fold_of_row, latency[0])
     choice = choose_laws(
-        _keep_simple_laws(errors),
+        _keep_simple_laws(errors, fitted),
         is_proven=lambda law, j: has_proof(judged[j][_to_fitted_law(law)].fit.law),
         can_join=lambda *_: True,  # none has memory that needs an integration of its own
     )
@@ -107,9 +110,7 @@ def _describe_ties(
         if chosen[j] == CoulombViscous.name:
             yield f"{joint}: no law beats frictionloss, damping and armature on this log."
         equal_fits = [
-            judged[j][law].fit
-            for law in select_laws(FROM_COMMANDS)
-            if law in judged[j] and not is_better(errors, chosen[j], law, j)
+            judged[j][law].fit for law in judged[j] if not is_better(errors, chosen[j], law, j)
         ]
         factors = [fit.servo.body_factor for fit in equal_fits if fit.servo.body_factor > 0.0]
         if factors and max(factors) > _CONFOUNDED * min(factors):
@@ -120,7 +121,15 @@ def _describe_ties(
             )
 
 
-def _keep_simple_laws(errors: LeftOutErrors) -> LeftOutErrors:
+def _list_laws(laws: Sequence[str]) -> list[str]:
+    """Return the laws that are tried, the baselines first; raise FitError for one with memory."""
+    for law in laws:
+        require_suitable(law)
+    baselines = (NoFriction.name, CoulombViscous.name)
+    return list(dict.fromkeys([*baselines, *(laws or select_laws(FROM_COMMANDS))]))
+
+
+def _keep_simple_laws(errors: LeftOutErrors, fitted: Sequence[str]) -> LeftOutErrors:
     """Return the errors of the baselines, and of each joint's simplest law that none beats.
 
     Laws contain each other: the last ones predict as well as the true one, with coefficients that
@@ -130,9 +139,8 @@ def _keep_simple_laws(errors: LeftOutErrors) -> LeftOutErrors:
     for j in range(len(errors.joints)):
         unbeaten = (
             law
-            for law in select_laws(FROM_COMMANDS)
-            if law in errors.laws
-            and not any(is_better(errors, other, law, j) for other in errors.laws)
+            for law in fitted
+            if not any(is_better(errors, other, law, j) for other in errors.laws)
         )
         kept.add(next(unbeaten))
     simple = {law: values for law, values in errors.errors.items() if law in kept}
@@ -147,13 +155,14 @@ def _to_fitted_law(law: str) -> str:
 def _judge_all(
     records: Sequence[Sequence[ServoRecord]],
     robot: Robot,
+    laws: Sequence[str],
     fold_of_row: Integers,
     workers: int | None,
     progress: Progress,
 ) -> list[dict[str, _Judgement]]:
     """Return the judgements of all laws that can be fitted, by joint."""
     kind = robot.description.servo.kind
-    pairs = [(j, law) for j in range(robot.n) for law in select_laws(FROM_COMMANDS)]
+    pairs = [(j, law) for j in range(robot.n) for law in laws]
     jobs = [partial(_judge, records[j], law, kind, fold_of_row) for j, law in pairs]
     judged: list[dict[str, _Judgement]] = [{} for _ in records]
     labels = [f"{robot.joints[j]}, {law}" for j, law in pairs]

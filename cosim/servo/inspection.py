@@ -32,3 +32,10 @@ def describe_currents(logs: Sequence[Log], robot: Robot) -> list[str]:
         assert reading is not None
         sentences.append(f"{records[0].joint}: {reading.sentence}")
     return sentences
+
+
+def require_motion_by_commands(logs: Sequence[Log], robot: Robot) -> None:
+    """Raise FitError if a joint moves too little for a fit to its commands."""
+    kind = robot.description.servo.kind
+    for records in read_servo_records(logs, robot, robot.nominal_parameters):
+        find_start(records, kind)

@@ -11,13 +11,14 @@ from cosim.servo.fit import JointProblem
 from cosim.servo.interval import compute_interval
 from cosim.servo.joint_fit import JointFit
 from cosim.servo.record import ServoRecord, read_servo_records
-from cosim.servo.result import finish_joint
+from cosim.servo.result import ServoResult, finish_joint
+from cosim.servo.scale import find_shared_scale
 from cosim.servo.sentences import describe_servo
 from hesr_model.errors import FitError
 from hesr_model.fitting.estimator import estimator
 from hesr_model.friction.model import MIXED, FrictionModel
 from hesr_model.logs.robot_log import Log
-from hesr_model.robots.robot import Robot
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.robots.servo_description import ServoKind
 from hesr_model.support import parallel
 from hesr_model.support.progress import Progress, silent
@@ -94,10 +95,7 @@ def finish_model(
     else:
         common_latency, latency_error = latency or find_common_latency(fits)
         finished = _refit_all(records, robot, fits, common_latency, workers, report)
-    results = [
-        finish_joint(joint_records, fit, latency_error, robot.description, j)
-        for j, (joint_records, fit) in enumerate(zip(records, finished, strict=True))
-    ]
+    results = _finish_joints(records, finished, latency_error, robot.description)
     sentences = [
         f"{joint}: {sentence}"
         for joint, result in zip(robot.joints, results, strict=True)
@@ -116,6 +114,28 @@ def finish_model(
         servos=tuple(result.servo for result in results),
         provenance={**provenance, "from_commands": sentences},
     )
+
+
+def _finish_joints(
+    records: Sequence[Sequence[ServoRecord]],
+    fits: Sequence[JointFit],
+    latency_error: float | None,
+    description: RobotDescription,
+) -> list[ServoResult]:
+    """Scale the fits of all joints; one without a source takes the size of the same servos."""
+    results = [
+        finish_joint(joint_records, fit, latency_error, description, j)
+        for j, (joint_records, fit) in enumerate(zip(records, fits, strict=True))
+    ]
+    shared_scale = find_shared_scale([result.scale for result in results])
+    if not description.scale.same_servos or shared_scale is None:
+        return results
+    for j, result in enumerate(results):
+        if result.scale.source == "none":
+            results[j] = finish_joint(
+                records[j], fits[j], latency_error, description, j, shared_scale
+            )
+    return results
 
 
 def require_suitable(law_name: str) -> None:

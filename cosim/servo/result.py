@@ -67,10 +67,12 @@ def finish_joint(
     latency_error: float | None,
     description: RobotDescription,
     j: int,
+    shared_scale: TorqueScale | None = None,
 ) -> ServoResult:
     """Scale the fit of joint j; raise FitError if the commands do not explain its motion.
 
-    `latency_error` is the standard error [s] of a latency that the fit did not search.
+    `latency_error` is the standard error [s] of a latency that the fit did not search. The
+    `shared_scale` of other joints takes the place of its own.
     """
     ideal_errors = [delay_commands(record, fit.servo.latency) - record.q for record in records]
     ideal_rmse = float(rms(np.concatenate(ideal_errors)))
@@ -82,7 +84,7 @@ def finish_joint(
         )
     interval = compute_interval(fit, latency_error)
     current = _read_current(records, fit)
-    scale = find_scale(interval, description, j, current)
+    scale = shared_scale or find_scale(interval, description, j, current)
     widths = _find_relative_widths(fit, interval, scale)
     law = _scale_law(fit.law, scale.gain, widths)
     servo = fit.servo.scale(scale.gain)

@@ -6,7 +6,7 @@ added, a motor current with its constant, or gravity by the model's masses. A st
 as it is; of the others the one with the smallest error.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from hesr_model.robots.robot import RobotDescription
 
 _MOST_ERROR = 0.3  # largest relative error of a fitted reference that still fixes the size
 _CONTRADICTION = 3.0  # standard errors between two sources
+_LEAST_ERROR = 1e-3  # relative, of a size that weighs in a mean
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +74,27 @@ def find_scale(
     return best if best.source == "gravity" else _compare(best, gravity=gravity)
 
 
+def find_shared_scale(scales: Sequence[TorqueScale]) -> TorqueScale | None:
+    """Return the size of torques of a joint whose servo is that of joints with a known size.
+
+    The gain is their weighted mean, its error that of the mean and the scatter between them.
+    """
+    known = [scale for scale in scales if scale.source != "none"]
+    if not known:
+        return None
+    logarithms = np.log([scale.gain for scale in known])
+    weights = np.array([max(scale.total_error, _LEAST_ERROR) ** -2 for scale in known])
+    mean = float(np.average(logarithms, weights=weights))
+    scatter = float(np.average((logarithms - mean) ** 2, weights=weights))
+    # The errors of gravity are those of one model file, and do not average out.
+    shared_error = min(scale.total_error for scale in known)
+    return TorqueScale(
+        source="other joints",
+        gain=float(np.exp(mean)),
+        error=float(np.sqrt(shared_error**2 + scatter)),
+    )
+
+
 def _list_stated(
     interval: Interval, description: RobotDescription, j: int, current: CurrentReading | None
 ) -> Iterator[TorqueScale | None]:
@@ -86,7 +108,10 @@ def _list_stated(
         )
     yield _find_by_reference(interval, "added_factor", 1.0, source="added inertia", error=0.0)
     constants = description.log.torque_per_ampere
-    if constants is None or current is None or current.kind != "motor current":
+    constant_source = description.sources.expand_per_joint("torque_per_ampere", joint_count)[j]
+    if constants is None or constant_source == "guessed":
+        return
+    if current is None or current.kind != "motor current":
         return
     relative_error = current.slope_error / max(current.slope, 1e-300)
     if relative_error < _MOST_ERROR:

@@ -64,14 +64,16 @@ def _describe_scale(result: ServoResult) -> str:
         milliradians = 1e3 * result.usual_friction
         return (
             f"torques are known up to one factor: friction is {milliradians:.3g} mrad of the "
-            "servo's error; state servo.kp or servo.torque_limit, or log a posture that gravity "
-            "loads, or logs with and without a known inertia"
+            "servo's error; state servo.kp, servo.torque_limit or scale.same_servos, or log a "
+            "posture that gravity loads, or logs with and without a known inertia"
         )
     if fitted.scale == "gravity":
         return f"scale from gravity, +- {percent:.0f} %: as good as the masses of the model file"
     if fitted.scale == "added inertia":
         percent = 100.0 * result.scale.fit_error
         return f"scale from the added inertia, +- {percent:.1f} %"
+    if fitted.scale == "other joints":
+        return f"scale from the other joints, stated to have the same servo, +- {percent:.0f} %"
     if fitted.scale == "current":
         return f"scale from the motor's current and its constant, +- {percent:.0f} %"
     return f"scale from the stated {fitted.scale}, +- {percent:.0f} %"

@@ -148,6 +148,7 @@ def run_from_commands(
         model = choose_from_commands(
             training,
             robot,
+            study.laws,
             provenance=source,
             progress=partial(progress, "judging laws by motion from commands"),
         )

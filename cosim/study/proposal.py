@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from os.path import relpath
 from pathlib import Path
 
+from cosim.servo.inspection import require_motion_by_commands
 from cosim.study.steps import Job
 from cosim.study.study import Study
 from hesr_model.fitting.estimator import registry, select_laws
@@ -24,13 +25,16 @@ def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
     folder = path.resolve().parent
     log_paths = [log.path.resolve() for log in proposal.logs if log.path]
     files = [Path(relpath(log_path, folder)).as_posix() for log_path in log_paths]
+    has_torque = all(log.has_torque for log in proposal.logs)
     refinement_hint = [
         '# refinement = "output_error"  # also refine the laws for simulation; it takes longer'
     ]
     refinement_hint *= (
-        len(proposal.description.joints) == 1 and not proposal.description.log.cylinder
+        len(proposal.description.joints) == 1
+        and has_torque
+        and not proposal.description.log.cylinder
     )
-    proposed_laws = propose_laws(proposal)
+    proposed_laws = propose_laws(proposal) if has_torque else list(select_laws("from_commands"))
     lines = [
         "# Proposed by 'hesr inspect'; 'hesr run' runs it. Paths are relative to this file.",
         "",
@@ -81,7 +85,10 @@ def propose_laws(proposal: Proposal) -> list[str]:
 
 
 def dry_run(proposal: Proposal) -> None:
-    """Read and check the logs of the proposed study, fit a small law; raises HesrError."""
+    """Read and check the logs of the proposed study, fit a small law; raises HesrError.
+
+    Logs without torque are tried by the start of their fit.
+    """
     with scratch_folder() as folder:
         robot_path = folder / "robot.toml"
         path = folder / "study.toml"
@@ -92,6 +99,9 @@ def dry_run(proposal: Proposal) -> None:
     robot = Robot(job.robot)
     check_logs(list(logs.values()), robot)
     trained_logs = [logs[name] for name in job.trained_on]
+    if not all(log.has_torque for log in trained_logs):
+        require_motion_by_commands(trained_logs, robot)
+        return
     body = identify(trained_logs, robot)
     records = [friction_records(part, robot, body) for part in collect_parts(trained_logs)]
     # A baseline would also accept a log that never reverses.

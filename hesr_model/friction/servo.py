@@ -4,7 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, Self
 
-ScaleSource = Literal["gain", "stall torque", "gravity", "added inertia", "current", "none"]
+ScaleSource = Literal[
+    "gain", "stall torque", "gravity", "added inertia", "current", "other joints", "none"
+]
 """What fixes the size of all torques; without any they are in units of the gain."""
 
 

@@ -1,11 +1,13 @@
 """What a log leaves out: the sign of a torque, the position, or other speeds."""
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
 from hesr_model.health.evidence import ModelTorques, SmoothPart
 from hesr_model.health.referee import Hypothesis, LeftOutRows, Race
+from hesr_model.logs.log_format import LogColumns, column_names
 from hesr_model.logs.rest import moves_both_ways
 from hesr_model.logs.strokes import find_single_speeds
 from hesr_model.robots.robot import RobotDescription
@@ -46,12 +48,18 @@ def check_signs(
             "a torque with its sign": signed_squares,
             "a constant": (size - np.mean(size)) ** 2,
         }
+        remedy = "HESR needs the sign; log the torque or the current as the drive measures it"
+        changes: dict[str, Any] = {}
+        if part.log.q_cmd is not None:
+            remedy = "friction follows from commands and positions instead"
+            changes = _name_current_size(description)
         yield Hypothesis(
             check="torque-unsigned",
             joint=description.joints[j],
             observation="its torque has no sign: it never changes it, though the joint moves both "
             "ways, and its size follows friction and motion",
-            remedy="HESR needs the sign; log the torque or the current as the drive measures it",
+            remedy=remedy,
+            changes=changes,
             trials=tuple(
                 Race(
                     rival=rival,
@@ -63,6 +71,21 @@ def check_signs(
             ),
             record="slow motion both ways",
         )
+
+
+def _name_current_size(description: RobotDescription) -> dict[str, Any]:
+    """Return changes by which the columns of the torque are a current without a sign."""
+    log_format = description.log
+    quantity = "tau" if log_format.torque_per_ampere is None else "current"
+    names = column_names(getattr(log_format.columns, quantity), description.joints)
+    changes: dict[str, Any] = {
+        "log.columns.current_size": tuple(names),
+        f"log.columns.{quantity}": getattr(LogColumns(), quantity),
+    }
+    if description.sources.torque_per_ampere == "guessed":
+        changes["log.torque_per_ampere"] = None
+        changes["sources.torque_per_ampere"] = "not stated"
+    return changes
 
 
 def _build_columns(

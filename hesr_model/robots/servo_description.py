@@ -36,10 +36,13 @@ class ScaleDescription(Config):
     `body_error` is the relative standard error of the model's masses. `inertia_added` are known
     inertias [kg.m2; kg] that joints turned in single logs, as in
     ``inertia_added.with_disc = {joint1 = 0.02}``; logs with and without them fix the size.
+    `same_servos` states that all joints have the same servo and gear: a joint without a source of
+    its own has the gain of the others.
     """
 
     body_error: Annotated[float, Field(ge=0, lt=1)] = 0.2
     inertia_added: Mapping[str, Mapping[str, Annotated[float, Field(ge=0)]]] = {}
+    same_servos: bool = False
 
     def find_added_inertia(self, log: str, joint: str) -> float:
         """Return the known inertia that a joint turned in a log beside the model's bodies."""

@@ -66,9 +66,14 @@ def join_few(words: Iterable[str], max_count: int = 5) -> str:
 
 
 def format_settings(changes: Mapping[str, Any]) -> str:
-    """Return values by key of a TOML file as its lines: "[log.units] q = 'deg' and gravity = 1"."""
+    """Return values by key of a TOML file as its lines: "[log.units] q = 'deg' and gravity = 1".
+
+    None is left out: TOML has no word for it.
+    """
     lines = []
     for key, value in changes.items():
+        if value is None:
+            continue
         table, _, name = key.rpartition(".")
         header = f"[{table}] " if table else ""
         # Literal strings of TOML read better within a sentence.

@@ -113,3 +113,18 @@ def test_joints_that_move_each_other_are_named() -> None:
     [doubt] = errors.doubts
     assert "joint 2 errs 2.0 times" in doubt
     assert replace(errors, coupled=()).doubts == []
+
+
+def test_inspect_proposes_a_study_of_commands(tmp_path: Path, cli: Hesr) -> None:
+    write_study(tmp_path)
+    robot = tmp_path / "proposed.toml"
+    study = tmp_path / "proposed_study.toml"
+    said = cli(
+        "inspect", tmp_path / "train.csv", "--robot", tmp_path / "lever.urdf",
+        "--write", robot, "--study", study,
+    )  # fmt: skip
+    assert said.code == 0, said.err
+    assert "lugre" not in study.read_text()
+    run = cli("run", study, "--quick", "-o", tmp_path / "results")
+    assert run.code == 0, run.err
+    assert (tmp_path / "results" / "fmus" / "Plant.fmu").exists()

@@ -13,12 +13,14 @@ from cosim.servo.model import fit_from_commands
 from cosim.servo.motion import predict_motion
 from cosim.servo.record import find_encoder_step, read_servo_records
 from cosim.servo.result import count_releases
+from cosim.servo.scale import TorqueScale, find_shared_scale
 from hesr_model.errors import ConfigError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.robots.servo_description import ScaleDescription, ServoDescription
 
+SO101 = Path(__file__).parents[3] / "shared" / "examples" / "so101"
 CONSTANT = 1.7  # of the motor [N.m/A]
 DISC = 0.02  # inertia of a disc [kg.m2]
 
@@ -200,3 +202,38 @@ def test_a_joint_that_is_shaken_loose_is_counted(turntable: HobbyServo) -> None:
         record, q=shaken, dq=np.gradient(rested, record.t), q_cmd=np.zeros_like(record.t)
     )
     assert count_releases(loose, step) == 1
+
+
+def test_the_same_servos_share_a_size() -> None:
+    known = [
+        TorqueScale(source="gravity", gain=10.0, error=0.2, reference="body_factor"),
+        TorqueScale(source="gravity", gain=12.0, error=0.2, reference="body_factor"),
+    ]
+    nothing = TorqueScale(source="none")
+    shared = find_shared_scale([*known, nothing])
+    assert shared is not None
+    assert shared.gain == pytest.approx(np.sqrt(120.0))
+    assert shared.error == pytest.approx(np.hypot(0.2, 0.5 * np.log(1.2)))
+    assert find_shared_scale([nothing]) is None
+
+
+@pytest.mark.nightly("real")
+@pytest.mark.skipif(not SO101.is_dir(), reason="needs the logs in ../shared/examples")
+def test_a_measured_arm_goes_from_log_to_plant(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its current without a sign is no torque, and its first axis is vertical."""
+    cli = hesr_here(capsys, monkeypatch)
+    robot, study = tmp_path / "robot.toml", tmp_path / "study.toml"
+    inspected = cli(
+        "inspect", SO101 / "pick_place.csv.gz", "--robot", SO101 / "so101.urdf",
+        "--write", robot, "--study", study,
+    )  # fmt: skip
+    assert inspected.code == 0, inspected.err
+    assert "current_size" in robot.read_text()
+    with robot.open("a") as file:
+        file.write("[scale]\nsame_servos = true\n")
+    said = cli("run", study, "--quick", "-o", tmp_path / "results")
+    assert said.code == 0, said.err
+    assert "scale from the other joints" in said.out
+    assert (tmp_path / "results" / "fmus" / "Plant.fmu").exists()

@@ -105,11 +105,13 @@ def _read_effort(table: LogTable, description: RobotDescription) -> tuple[Array,
         return table.numbers(names, missing=description.log.missing == "drop"), False
     torque_name = column_names(columns.tau, description.joints)[0]
     current_name = column_names(columns.current, description.joints)[0]
-    if gains is not None and current_name in table.names:
+    # Currents without a sign are no torques, though their columns may be named so.
+    signed_names = {*table.names} - {*column_names(columns.current_size, description.joints)}
+    if gains is not None and current_name in signed_names:
         return _read_joints(table, columns.current, description), True
-    if torque_name in table.names:
+    if torque_name in signed_names:
         return _read_joints(table, columns.tau, description), False
-    if current_name in table.names:
+    if current_name in signed_names:
         raise LogError(
             f"{table.path}: column '{torque_name}' is missing; for the currents in "
             f"'{current_name}' add 'log.torque_per_ampere' to the robot file.",

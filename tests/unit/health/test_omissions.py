@@ -62,6 +62,20 @@ def test_motion_one_way_does_not_show_whether_a_torque_has_a_sign(tmp_path: Path
     assert "torque-unsigned" not in find_checks(log_torque(tau, q), describe_rotor(tmp_path))
 
 
+def test_commands_replace_a_torque_without_a_sign(tmp_path: Path) -> None:
+    log = log_torque(TORQUES["size"][0])
+    log = replace(log, q_cmd=log.q + 0.01 * np.sign(np.gradient(log.q, axis=0)))
+    description = describe_rotor(tmp_path)
+    robot = Robot(description)
+    [finding] = [
+        finding
+        for finding in examine([log], robot.description, robot).findings
+        if finding.check == "torque-unsigned"
+    ]
+    assert finding.changes["log.columns.current_size"] == ("tau1",)
+    assert "follows from commands" in finding.sentence
+
+
 def test_a_torque_without_a_sign_is_refused_by_what_learns(tmp_path: Path) -> None:
     robot = Robot(describe_rotor(tmp_path))
     with pytest.raises(HealthError, match="no sign"):
