@@ -447,7 +447,7 @@ def test_unknown_parameters_cannot_be_known(tmp_path: Path, hesr: Hesr) -> None:
         (["--bench", "sliding", "--phase", "1"], "--moment and --phase are for a rotary bench; "),
         (["--bench", "rotary", "--joints", "a,b,a"], "--joints has 'a' twice; every joint needs "),
         (["--bench", "rotary", "--inertia", "1,2"], "--inertia: found 2 values, but the model has"),
-        (["--bench", "rotary", "--log", "rat=1"], "bench/robot.toml: unknown key 'log.rat'; allo"),
+        (["--bench", "rotary", "--log", "rat=1"], "bench/robot.toml: unknown key 'log.rat'; did "),
         (["--bench", "rotary", "--gear-ratio", "0"], "bench/robot.toml: key 'gear_ratio.0' is 0.0"),
         (["--bench", "rotary", "--log", "zero=[1,2]"], "key 'log.zero' of robot 'bench' has 2 ent"),
     ],

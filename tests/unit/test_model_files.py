@@ -235,12 +235,12 @@ def first(data: dict[str, Any]) -> dict[str, Any]:
         (lambda d: d.pop("format"), "'format' is None, expected 'hesr-friction-model-1'."),
         (lambda d: d.pop("robot"), "key 'robot' is missing."),
         (lambda d: d.pop("provenance"), "key 'provenance' is missing."),
-        (lambda d: first(d).pop("joint"), "key 'joints.0.joint' is missing."),
-        (lambda d: first(d).pop("structure"), "key 'joints.0.structure' is missing."),
-        (lambda d: first(d).pop("discretisation"), "key 'joints.0.discretisation' is missing."),
+        (lambda d: first(d).pop("joint"), "key 'joints.0.joint' is missing"),
+        (lambda d: first(d).pop("structure"), "key 'joints.0.structure' is missing"),
+        (lambda d: first(d).pop("discretisation"), "key 'joints.0.discretisation' is missing"),
         (
             lambda d: first(d)["coefficients"]["alpha"].pop("unit"),
-            "key 'joints.0.coefficients.alpha.unit' is missing.",
+            "key 'joints.0.coefficients.alpha.unit' is missing",
         ),
         (
             lambda d: first(d).update(discretisation="rk4"),
