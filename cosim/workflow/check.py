@@ -16,10 +16,11 @@ from cosim.workflow.arguments import (
     require_items,
     to_optional_path,
 )
-from hesr_model.errors import ArgumentError, HesrError
+from hesr_model.errors import ArgumentError, ArtifactError, HesrError
+from hesr_model.findings import log_findings
 from hesr_model.support import plugins
 from hesr_model.support.files import PathArg, require_writable, to_path
-from hesr_model.support.progress import Stages, report_progress, silent
+from hesr_model.support.progress import Interrupted, Stages, report_progress, silent
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,6 +31,11 @@ if TYPE_CHECKING:
     from fmu_src.friction.convention import Convention
     from hesr_model.findings import Finding
 
+_MAX_LOGGED = 3  # findings of a file that are printed before all files are checked
+_VDMCHECK_HINT = (
+    "VDMCheck2 was not run: unpack a release of github.com/INTO-CPS-Association/FMI-VDM-Model, and "
+    "give its folder by --vdmcheck."
+)
 KINDS = ("static", "references", "convention")  # kinds of HESR's own checks
 
 
@@ -52,6 +58,8 @@ class FmuReport(Answer):
         ]
 
     def _lines(self, limit: int | None = None) -> list[str]:
+        from fmu_src.check.external import NO_VDMCHECK
+
         lines = []
         for report in self.reports:
             lines.append(f"{report.path}: {report.verdict}")
@@ -64,7 +72,7 @@ class FmuReport(Answer):
                 lines.append(f"  platforms: {report.coverage}")
             if report.record:
                 lines.append(f"  record: {report.record}")
-            lines += [f"  not run: {reason}" for reason in report.skipped]
+            lines += [f"  not run: {reason}" for reason in report.skipped if reason != NO_VDMCHECK]
         return lines
 
     def summary(self) -> str:
@@ -74,9 +82,11 @@ class FmuReport(Answer):
     def tables(self) -> Sequence[ResultTable | str]:
         """Return all findings, and the tables of the kind ``convention``."""
         from cosim.report.tables.laws import convention
+        from fmu_src.check.external import NO_VDMCHECK
 
         costs = [convention(path.name, cost) for path, cost in self.conventions.items()]
-        return [*self._lines(), *costs]
+        is_without = any(NO_VDMCHECK in report.skipped for report in self.reports)
+        return [*self._lines(), *costs, *[_VDMCHECK_HINT] * is_without]
 
     def result(self) -> Any:
         """Return the reports as JSON data."""
@@ -110,7 +120,7 @@ def check(
     Parameters
     ----------
     fmus : path or sequence of paths
-        FMUs of any tool, of FMI 1.0, 2.0 or 3.0; SSPs.
+        FMUs of any tool, of FMI 2.0 or 3.0; SSPs.
     kind : str or sequence of str, optional
         Further checks: references (against the reference results that the file
         carries), hostile (odd and repeated steps, invalid calls), convention
@@ -167,10 +177,19 @@ def check(
     _require_supported(paths, kinds)
     remember_trust(paths, trust=trust)
     vdmcheck_folder = to_optional_path("vdmcheck", vdmcheck)
-    reports = [
-        _check_file(path, kinds, vdmcheck_folder)
-        for path in report_progress(paths, partial(progress, "checking"), lambda path: path.name)
-    ]
+    reports: list[Report] = []
+    try:
+        for path in report_progress(paths, partial(progress, "checking"), lambda path: path.name):
+            report = _check_file(path, kinds, vdmcheck_folder, is_single=len(paths) == 1)
+            reports.append(report)
+            if len(paths) > 1:
+                _log_first_findings(report)
+    except KeyboardInterrupt as interrupt:
+        hint = f"{len(reports)} of {len(paths)} files were checked"
+        for write, file in writers:
+            write(file, reports)
+        answer = FmuReport(reports=reports, files=[file for _, file in writers])
+        raise Interrupted(hint, interrupt, answer) from interrupt
     conventions = {}
     if "convention" in kinds:
         for number, path in enumerate(paths):
@@ -215,13 +234,39 @@ def _require_supported(paths: Sequence[Path], kinds: Sequence[str]) -> None:
             raise ArgumentError(f"{path}: an SSP supports 'kind' static and references only.")
     for path in paths:
         if not _is_system(path):
-            open_file(path).close()
+            if len(paths) == 1:
+                open_file(path).close()
             if "convention" in kinds:
                 judge(path)
 
 
-def _check_file(path: Path, kinds: Sequence[str], vdmcheck: Path | None) -> Report:
-    """Run the static checks of an FMU or SSP, those of plug-ins, and the comparison."""
+def _log_first_findings(report: Report) -> None:
+    """Log what the user should know before all files are checked."""
+    findings = [finding for finding in report.problems if finding.severity != "advice"]
+    log_findings(replace(finding, where=str(report.path)) for finding in findings[:_MAX_LOGGED])
+
+
+def _check_file(
+    path: Path, kinds: Sequence[str], vdmcheck: Path | None, *, is_single: bool
+) -> Report:
+    """Run the static checks of an FMU or SSP, those of plug-ins, and the comparison.
+
+    One of several files that cannot be opened does not end the others.
+    """
+    from fmu_src.check.run import Report
+    from hesr_model.findings import Finding
+
+    try:
+        return _run_checks(path, kinds, vdmcheck)
+    except ArtifactError as error:
+        if is_single:
+            raise
+        reason = str(error).removeprefix(f"{path}: ")
+        problem = Finding(check="file-missing", where="", found=reason)
+        return Report(path=path, problems=(problem,), skipped=())
+
+
+def _run_checks(path: Path, kinds: Sequence[str], vdmcheck: Path | None) -> Report:
     from fmu_src.check.run import check as check_fmu
 
     if _is_system(path):

@@ -41,6 +41,7 @@ _DESCRIPTIONS = ("modelDescription.xml", "SystemStructure.ssd")
 SCHEMA_TIMEOUT = 60.0
 
 _UTF8 = re.compile("utf-?8", re.IGNORECASE)
+_LATIN_1 = re.compile(rb"""<\?xml [^>]*?encoding=["']ISO-8859-1["']""", re.IGNORECASE)
 
 
 class _RefusedError(Exception):
@@ -52,8 +53,9 @@ class _Guard:
     nodes: int = 0
     encoding: str | None = None
 
-    def run(self, data: bytes) -> None:
-        parser = expat.ParserCreate("UTF-8")  # regardless of the declaration
+    def run(self, data: bytes, encoding: str) -> None:
+        """Parse data in an encoding, regardless of the declaration."""
+        parser = expat.ParserCreate(encoding)
         parser.XmlDeclHandler = self._declaration
         parser.StartDoctypeDeclHandler = self._doctype
         parser.StartElementHandler = self._element
@@ -88,14 +90,16 @@ def parse(name: str, file: Path) -> tuple[etree._Element | None, list[Problem]]:
         return None, [("xml-unreadable", text)]
     data = file.read_bytes()
     invalid_byte = _find_invalid_byte(data)
-    if invalid_byte is not None:
+    is_latin_1 = _LATIN_1.match(data) is not None
+    if invalid_byte is not None and not is_latin_1:
         text = f"it is not valid UTF-8, which FMI requires (byte {invalid_byte + 1})."
         return None, [("xml-encoding", f"{name}: {text}")]
     guard = _Guard()
+    encoding = "ISO-8859-1" if is_latin_1 else "UTF-8"
     try:
-        guard.run(data)
+        guard.run(data, encoding)
         parser = etree.XMLParser(
-            encoding="utf-8", resolve_entities=False, load_dtd=False, no_network=True
+            encoding=encoding, resolve_entities=False, load_dtd=False, no_network=True
         )
         root = etree.fromstring(data, parser)
     except _RefusedError as error:
@@ -108,7 +112,9 @@ def parse(name: str, file: Path) -> tuple[etree._Element | None, list[Problem]]:
         return root, [("xml-undeclared", text)]
     if guard.encoding is not None and not _UTF8.fullmatch(guard.encoding):
         text = f"{name}: its first line declares '{sanitise(guard.encoding)}'; FMI needs UTF-8."
-        return root, [("xml-encoding", text)]
+        # FMI 2.0 says so of strings only, and importers read what XML declares.
+        is_fmi_2 = root.get("fmiVersion", "").startswith("2.")
+        return root, [("xml-other-encoding" if is_fmi_2 else "xml-encoding", text)]
     return root, []
 
 

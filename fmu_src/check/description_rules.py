@@ -282,11 +282,18 @@ def _listed_derivatives(model_description: ParsedDescription) -> Iterator[Proble
         for variable in model_description.variables
         if "derivative" in variable.type_attributes
     ]
+    # Several variables may be the derivative of one state, of which one is listed.
+    listed_states = {
+        variable.type_attributes["derivative"]
+        for variable in declared
+        if variable.index in listed_indices
+    }
     wrong = {
         ("structure-states", "lacks"): [
             variable
             for variable in declared
-            if variable.variability == "continuous" and variable.index not in listed_indices
+            if variable.variability == "continuous"
+            and variable.type_attributes["derivative"] not in listed_states
         ],
         ("structure-derivatives", "lists"): [
             variable

@@ -17,6 +17,8 @@ VDMCHECK_SECONDS = 300.0
 VDMCHECK_VARIABLES = 5000  # it takes quadratic time
 
 JAR = "vdmcheck2.jar"
+NO_VDMCHECK = "VDMCheck2: --vdmcheck names no folder."
+"""Why it was not run, which is said once for all files."""
 
 _MAX_MESSAGE_LENGTH = 1000  # characters of a message: FMPy lists all unknowns in one
 _RULE = re.compile(r"(\w+): (.+)")
@@ -72,7 +74,7 @@ def vdmcheck2(
 ) -> tuple[list[Problem], list[str]]:
     """Return the problems that VDMCheck2 finds, and why it was not run."""
     if vdmcheck_folder is None:
-        return [], ["VDMCheck2: --vdmcheck names no folder."]
+        return [], [NO_VDMCHECK]
     java = shutil.which("java")
     # A relative path lies in the current folder, whose content may be a stranger's.
     if java is None or not Path(java).is_absolute():

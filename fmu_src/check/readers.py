@@ -1,7 +1,7 @@
 """Readers of untrusted files, run in the sandbox so that no file can stall a check."""
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
@@ -162,11 +162,17 @@ def _pe(pe: Any) -> dict[str, Any]:
     }
 
 
+def list_exports(part: Any) -> Iterator[Any]:
+    """Yield the symbols of the export trie, and defined external ones of the symbol table."""
+    yield from part.exported_symbols
+    yield from (s for s in part.symbols if _word(s.category) == "EXTERNAL")
+
+
 def _mach_o(part: Any) -> dict[str, Any]:
     return {
         "machine": _word(part.header.cpu_type),
         "shared": _word(part.header.file_type) in ("DYLIB", "BUNDLE"),
-        "exports": _exports(str(s.name).removeprefix("_") for s in part.exported_symbols),
+        "exports": _exports(str(s.name).removeprefix("_") for s in list_exports(part)),
         "imports": _imports(str(s.name).removeprefix("_") for s in part.imported_symbols),
         "libraries": [str(x.name) for x in part.libraries if _word(x.command) != "ID_DYLIB"],
         "run_paths": [str(path.path) for path in part.rpaths],

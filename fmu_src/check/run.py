@@ -1,4 +1,4 @@
-"""All checks of one untrusted FMU, in order of dependence; of FMI 1.0 only those without rules."""
+"""All checks of one untrusted FMU, in order of dependence."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -23,6 +23,13 @@ from hesr_model.support.typed_files import to_json
 
 _MODEL = "modelDescription.xml"
 _BUILD = "sources/buildDescription.xml"
+_FILE_GROUPS = ("archive", "xml", "fmi", "xsd", "machine")
+"""First words of the rules that are applied to each file."""
+_DESCRIPTION_GROUPS = {
+    *("kind", "token", "date", "experiment", "unit", "type", "category", "variable", "alias"),
+    *("structure", "source", "binary"),
+}
+"""First words of the rules that need a description of FMI 2 or 3."""
 _OTHER_XML = (TERMINALS, _BUILD)
 
 
@@ -39,6 +46,7 @@ class Report:
     skipped: tuple[str, ...]
     platforms: tuple[str, ...] | None = None
     record: str = ""
+    rule_count: int = 0  # of the rules that were applied; 0 if unknown
 
     @property
     def coverage(self) -> str:
@@ -61,7 +69,10 @@ class Report:
             for severity, count in counts.items()
             if count
         ]
-        return f"{', '.join(count_texts)}." if count_texts else "no finding."
+        if count_texts:
+            return f"{', '.join(count_texts)}."
+        applied = f" of {self.rule_count} rules" if self.rule_count else ""
+        return f"passed, no finding{applied}."
 
     def to_json(self) -> dict[str, Any]:
         """Return the report as JSON data."""
@@ -95,6 +106,7 @@ def check(path: Path, *, vdmcheck: Path | None = None, kinds: Iterable[str] = ()
         skipped=tuple(check_run.skipped),
         platforms=binaries.platforms(contents) if _MODEL in contents.names else None,
         record=check_run.record,
+        rule_count=check_run.count_rules(),
     )
 
 
@@ -108,6 +120,7 @@ class _CheckRun:
         self.problems: list[Finding] = []
         self.skipped: list[str] = []
         self.record = ""
+        self._groups: set[str] = set()  # of rules, beyond those of all files
 
     def _add(self, problems: Iterable[Problem]) -> bool:
         """Add findings; return whether one is an error."""
@@ -124,13 +137,17 @@ class _CheckRun:
         if not contents.names and contents.problems:
             self.skipped.append("All other checks: not run; the archive could not be read.")
             return
+        root, texts = _model(contents)
+        if root is not None and root.get("fmiVersion") == "1.0":
+            text = f"{_MODEL}: FMI 1.0 is not checked; ask its tool for FMI 2.0 or 3.0."
+            self._add([("fmi-version", text)])
+            return
         changes = list(archive.compare_with_record(contents))
         self._add(changes)
         if MEMBER in contents.files and not changes:
             self.record = archive.UNCHANGED
         self._add(sources.machine_paths(contents))
         self.skipped += sources.find_skipped_libraries(contents)
-        root, texts = _model(contents)
         broken = self._add(texts)
         if root is None:
             self.skipped.append(f"All other checks: {_MODEL} could not be read.")
@@ -139,10 +156,7 @@ class _CheckRun:
         invalid = self._add(archive.schema_problems(_MODEL, contents.files[_MODEL], self._folder))
         file = contents.files.get(_BUILD)
         model_description = read_description(root, archive.parse(_BUILD, file)[0] if file else None)
-        if version != "1.0":
-            self._check_rules(model_description, contents)
-        else:
-            self.skipped.append("Rules, sources and binaries: not checked in FMI 1.0.")
+        self._check_rules(model_description, contents)
         if damaged or broken or invalid:
             self.skipped.append(
                 "FMPy and VDMCheck2: not run; the archive, its XML or the schema is wrong."
@@ -154,12 +168,19 @@ class _CheckRun:
                 plugins.find("hesr.checks", kind)(model_description, contents, self._folder)
             )
 
+    def count_rules(self) -> int:
+        """Return the number of rules that were applied."""
+        groups = {*_FILE_GROUPS, *self._kinds, *self._groups}
+        return sum(name.partition("-")[0] in groups for name in rules.RULES)
+
     def _check_rules(self, model_description: ParsedDescription, contents: Contents) -> None:
+        self._groups |= _DESCRIPTION_GROUPS
         version_rules = RULES_2 if model_description.fmi == 2 else RULES_3
         self._add(chain.from_iterable(rule(model_description) for rule in (*RULES, *version_rules)))
         if TERMINALS in contents.files:
             connected, _ = archive.parse(TERMINALS, contents.files[TERMINALS])
             if connected is not None:
+                self._groups.add("terminal")
                 self._add(terminal_problems(connected, model_description, contents))
         self._add(sources.problems(model_description, contents))
         self._add(binaries.problems(model_description, contents, self._folder))
@@ -178,9 +199,12 @@ class _CheckRun:
         copy = self._folder / "copy.fmu"
         external.write_copy(contents, readable, copy)
         self._add_run(external.fmpy(copy, self._folder))
+        self._groups.add("fmpy")
         if version != "2.0":
             self.skipped.append(f"VDMCheck2: it is for FMI 2.0, this is FMI {sanitise(version)}.")
             return
+        if self._vdmcheck is not None:
+            self._groups.add("vdmcheck2")
         self._add_run(external.vdmcheck2(copy, self._folder, self._vdmcheck, count))
 
 

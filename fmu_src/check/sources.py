@@ -11,7 +11,7 @@ from pathlib import Path
 from fmu_src.check.archive import Contents
 from fmu_src.check.description import ParsedDescription
 from fmu_src.check.rules import Problem
-from hesr_model.support.text import quote, sanitise
+from hesr_model.support.text import count_noun, quote, quote_names, sanitise
 
 MAX_PATHS = 100  # per file; the first one and the number are reported
 _NAME = rb"[A-Za-z0-9_.+@-]{1,100}"
@@ -146,14 +146,15 @@ def problems(model_description: ParsedDescription, contents: Contents) -> Iterat
     has_binaries = any(name.startswith("binaries/") for name in names)
     if not has_binaries and not any(kind.sources for kind in model_description.kinds):
         yield "binary-none", "binaries and a list of source files are both missing."
-    for kind in model_description.kinds:
-        for source in kind.sources:
-            if posixpath.normpath(_FOLDER + source) not in names:  # some begin with "./"
-                yield (
-                    "source-missing",
-                    f"{kind.element} lists the source file {quote(source)}, which is not in "
-                    "sources/.",
-                )
+    listed = dict.fromkeys(source for kind in model_description.kinds for source in kind.sources)
+    # Some begin with "./".
+    missing = [source for source in listed if posixpath.normpath(_FOLDER + source) not in names]
+    if missing:
+        yield (
+            "source-missing",
+            f"the description lists {count_noun(len(missing), 'source file')} that sources/ lacks: "
+            f"{quote_names(missing)}.",
+        )
     yield from _includes(model_description, contents)
 
 

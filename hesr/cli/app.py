@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 
@@ -14,6 +14,7 @@ from hesr.cli import console
 from hesr.cli.derive import VERBS, Function, command
 from hesr_model.errors import HesrError
 from hesr_model.support import plugins
+from hesr_model.support.progress import Interrupted
 
 if TYPE_CHECKING:
     from cosim.workflow.answer import Answer
@@ -100,15 +101,26 @@ def _invoke(function: Function, arguments: dict[str, Any]) -> None:
         quiet=common.quiet, verbose=common.verbose, json_file=common.json_file
     ) as output:
         with console.provide_answer_file(common.json_file, output) as json_file:
-            if common.listing:
-                answer = _list_choices(function)
-            else:
-                answer = _call(function, arguments, hidden=common.quiet or common.verbose)
+            interrupt = None
+            try:
+                if common.listing:
+                    answer = _list_choices(function)
+                else:
+                    answer = _call(function, arguments, hidden=common.quiet or common.verbose)
+            except Interrupted as error:
+                if error.answer is None:
+                    raise
+                interrupt = error
+                answer = cast("Answer", error.answer)
             if json_file:
                 from hesr_model.support.typed_files import write_json  # slow to import
 
                 write_json(json_file, answer.to_json())
         _print(answer, verbose=common.verbose)
+        if common.quiet:
+            _print_errors(answer)
+        if interrupt is not None:
+            raise interrupt
     sys.exit(_exit_code(answer, common.fail_on))
 
 
@@ -120,6 +132,12 @@ def _print(answer: "Answer", *, verbose: bool) -> None:
         from cosim.report.tables.terminal import show
 
         show(*answer.tables())
+
+
+def _print_errors(answer: "Answer") -> None:
+    for finding in answer.findings:
+        if finding.severity == "error":
+            click.echo(f"hesr: {finding.sentence} [{finding.check}]", err=True)
 
 
 def _exit_code(answer: "Answer", fail_on: str) -> int:

@@ -161,9 +161,15 @@ def deferred() -> Iterator[None]:
 
 
 class Interrupted(KeyboardInterrupt):
-    """Interrupt of work that can be continued; `resume_hint` describes how."""
+    """Interrupt of work; `resume_hint` says what is kept or how it can be continued.
 
-    def __init__(self, resume_hint: str, interrupt: KeyboardInterrupt) -> None:
+    `answer` is the result so far, if a command has one.
+    """
+
+    def __init__(
+        self, resume_hint: str, interrupt: KeyboardInterrupt, answer: object = None
+    ) -> None:
         super().__init__(resume_hint)
         self.resume_hint = resume_hint
         self.interrupt = interrupt
+        self.answer = answer

@@ -1,11 +1,13 @@
 """Shared libraries: right for their folder, complete and self-contained."""
 
+from types import SimpleNamespace
+
 import pytest
 from c_hosts import LINUX
 from containing import Containing
 from fmu_files import BINARY, changed, check, members, said, texts
 
-from fmu_src.check import binaries
+from fmu_src.check import binaries, readers
 from fmu_src.check.binaries import KNOWN_FUNCTIONS
 from fmu_src.export.toolchain import TARGETS
 from hesr_model.support import child
@@ -258,3 +260,14 @@ def test_a_missing_reader_is_reported(of, monkeypatch, table1_fmu, tmp_path):
     monkeypatch.setattr("hesr_model.support.child._nursery", child._Nursery())
     monkeypatch.setattr("sys.executable", str(tmp_path / "none"))
     assert of(members(table1_fmu)[BINARY]) == [Containing("reader has no process", "No such file")]
+
+
+def test_functions_of_mach_o_are_in_the_trie_or_in_the_symbol_table():
+    def symbol(name, category):
+        return SimpleNamespace(name=name, category=f"CATEGORY.{category}")
+
+    defined = symbol("_fmi2GetReal", "EXTERNAL")
+    others = [symbol("_fmi2Reset", "UNDEFINED"), symbol("_fmi2Hidden", "LOCAL")]
+    exported = symbol("_fmi2DoStep", "NONE")
+    part = SimpleNamespace(exported_symbols=[exported], symbols=[*others, defined])
+    assert list(readers.list_exports(part)) == [exported, defined]

@@ -1,9 +1,11 @@
 """`hesr check` through the real command line: output, files and exit codes."""
 
 import json
+import signal
 import subprocess
 import sys
 from dataclasses import dataclass
+from xml.etree import ElementTree
 
 import pytest
 from containing import Containing
@@ -38,8 +40,9 @@ def bad(source_fmu, tmp_path):
     )
 
 
+RULE_COUNT = 58
 RECORD = "record: unchanged since its export."
-NO_VDMCHECK = "not run: VDMCheck2: --vdmcheck names no folder."
+NO_VDMCHECK = "VDMCheck2: --vdmcheck names no folder."
 PLATFORMS = "platforms: linux64; no binary for tools on Windows and macOS."
 PROBLEM = "modelDescription.xml: it holds '/home/anna/x'"
 
@@ -47,10 +50,9 @@ PROBLEM = "modelDescription.xml: it holds '/home/anna/x'"
 def test_a_valid_fmu_passes(table1_fmu):
     found = hesr("check", table1_fmu)
     lines = [
-        f"{table1_fmu}: no finding.",
+        f"{table1_fmu}: passed, no finding of {RULE_COUNT} rules.",
         f"  {PLATFORMS}",
         f"  {RECORD}",
-        f"  {NO_VDMCHECK}",
     ]
     assert found == Answer(0, lines, "")
 
@@ -59,20 +61,18 @@ def test_problems_are_printed(source_fmu, bad, tmp_path):
     found = hesr("check", source_fmu, bad, "--json", tmp_path / "deep" / "o.json")
     assert found.code == 0
     assert found.out == [
-        f"{source_fmu}: no finding.",
+        f"{source_fmu}: passed, no finding of {RULE_COUNT} rules.",
         "  platforms: none.",
-        f"  {NO_VDMCHECK}",
         f"{bad}: 1 advice.",
         Containing(f"  advice: {PROBLEM}", "[machine-path]"),
         "  platforms: none.",
-        f"  {NO_VDMCHECK}",
     ]
     written = json.loads((tmp_path / "deep" / "o.json").read_text(encoding="utf-8"))
     assert written["passed"]
     assert [(f["where"], f["found"]) for f in written["findings"]] == [
         (str(bad), Containing(PROBLEM))
     ]
-    skipped = [NO_VDMCHECK.removeprefix("not run: ")]
+    skipped = [NO_VDMCHECK]
     first, second = written["result"]
     assert first == {
         "fmu": str(source_fmu),
@@ -99,10 +99,63 @@ def test_a_file_other_than_an_fmu_is_a_problem_not_an_error(tmp_path):
     assert found.out[0] == f"{path}: 1 error."
 
 
-def test_a_missing_file_is_reported_first(source_fmu, tmp_path):
-    found = hesr("check", source_fmu, tmp_path / "none.fmu", "--json", "o.json")
+def test_a_missing_file_is_refused(tmp_path):
+    found = hesr("check", tmp_path / "none.fmu", "--json", "o.json")
     assert found == Answer(2, [], f"hesr: {tmp_path / 'none.fmu'}: no such file.\n")
     assert not (tmp_path / "o.json").exists()
+
+
+def test_a_missing_file_among_several_is_a_failing_case(source_fmu, tmp_path):
+    missing = tmp_path / "none.fmu"
+    files = {"--junit": tmp_path / "o.xml", "--sarif": tmp_path / "o.sarif"}
+    options = [part for pair in files.items() for part in pair]
+    found = hesr("check", missing, source_fmu, *options)
+    assert found.code == 1
+    assert found.out[1] == "  error: no such file. [file-missing]"
+    assert Containing("passed") in found.out
+    failure = ElementTree.parse(files["--junit"]).find(f"testsuite[@name='{missing}']//failure")
+    assert failure is not None
+    (result,) = json.loads(files["--sarif"].read_text(encoding="utf-8"))["runs"][0]["results"]
+    assert (result["ruleId"], result["level"]) == ("file-missing", "error")
+
+
+def test_quiet_prints_errors_and_nothing_else(source_fmu, bad, tmp_path):
+    path = tmp_path / "F.fmu"
+    path.write_bytes(b"no zip")
+    found = hesr("check", path, "--quiet")
+    assert (found.code, found.out) == (1, [])
+    assert found.err == Containing(f"hesr: {path}: ", "[archive-damaged]\n")
+    assert hesr("check", bad, "--quiet") == Answer(0, [], "")
+
+
+def test_vdmcheck_is_mentioned_once_on_request(source_fmu, bad):
+    found = hesr("check", source_fmu, bad, "--verbose")
+    assert "\n".join(found.out).count("VDMCheck2") == 1
+
+
+def test_an_interrupted_check_keeps_what_was_found(source_fmu, tmp_path):
+    """It ends when the first finding is read, which comes before the other files are checked."""
+    bad = tmp_path / "bad.fmu"
+    bad.write_bytes(b"no zip")
+    copies = [tmp_path / f"F{k}.fmu" for k in range(40)]
+    for copy in copies:
+        copy.write_bytes(source_fmu.read_bytes())
+    outputs = ("--json", tmp_path / "o.json", "--junit", tmp_path / "o.xml")
+    command = [sys.executable, "-c", "from hesr.cli import main; main()", "check", bad, *copies]
+    process = subprocess.Popen(
+        [*map(str, [*command, *outputs])], stderr=subprocess.PIPE, text=True, encoding="utf-8"
+    )
+    assert process.stderr is not None
+    assert process.stderr.readline() == Containing(str(bad), "[archive-damaged]")
+    process.send_signal(signal.SIGINT)
+    _, rest = process.communicate(timeout=60)
+    assert (process.returncode, rest) == (130, Containing("of 41 files were checked"))
+    result = json.loads((tmp_path / "o.json").read_text(encoding="utf-8"))["result"]
+    assert 1 <= len(result) < 41
+    checked = list(map(str, [bad, *copies]))[: len(result)]
+    assert [report["fmu"] for report in result] == checked
+    suites = ElementTree.parse(tmp_path / "o.xml").findall("testsuite")
+    assert [suite.get("name") for suite in suites] == checked
 
 
 def test_a_folder_without_vdmcheck2_is_reported(source_fmu):
@@ -118,8 +171,8 @@ def test_an_fmu_is_required():
 def test_hostile_masters_are_simulated(make_law, make_model, tmp_path):
     fmu = export_fmu(make_model(make_law("lugre")), tmp_path / "F.fmu")
     found = hesr("check", fmu, "--kind", "hostile", "--json", tmp_path / "o.json")
-    lines = [f"{fmu}: no finding.", f"  {PLATFORMS}", f"  {RECORD}", f"  {NO_VDMCHECK}"]
-    assert found == Answer(0, lines, "")
+    verdict = f"{fmu}: passed, no finding of {RULE_COUNT + 1} rules."
+    assert found == Answer(0, [verdict, f"  {PLATFORMS}", f"  {RECORD}"], "")
     assert json.loads((tmp_path / "o.json").read_text(encoding="utf-8"))["passed"]
 
 

@@ -1,10 +1,11 @@
-"""FMI 1: archive, schema and FMPy, with a note on skipped checks; FMI 3: also rules."""
+"""FMI 1 is refused; FMI 2 in other encodings and with several derivatives; FMI 3: also rules."""
 
 import re
+import zipfile
 
 import pytest
 from containing import Containing
-from fmu_files import MODEL, texts, write
+from fmu_files import MODEL, changed, texts, write
 from lxml import etree
 
 from fmu_src.check import description_rules, readers
@@ -36,13 +37,46 @@ FMI_1 = b"""<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
-def test_fmi_1_is_checked_in_part(tmp_path):
+def test_fmi_1_is_refused_in_one_sentence(tmp_path):
     found = check(write(tmp_path / "F.fmu", {MODEL: FMI_1}))
-    assert texts(found) == []
-    assert found.skipped == (
-        Containing("Rules, sources and binaries", "FMI 1.0"),
-        Containing("FMI 2.0, this is FMI 1.0"),
-    )
+    assert [(f.check, f.severity) for f in found.problems] == [("fmi-version", "error")]
+    assert found.problems[0].found == Containing("FMI 1.0 is not checked")
+    assert found.skipped == ()
+
+
+@pytest.mark.parametrize(
+    ("encoding", "expected"),
+    [("ISO-8859-1", [("xml-other-encoding", "warning")]), ("UTF-8", [])],
+)
+def test_fmi_2_in_another_encoding_is_a_warning(encoding, expected, source_fmu, tmp_path):
+    path = changed(source_fmu, tmp_path / "F.fmu", lambda xml: xml.root.set("author", "Zoé"))
+    with zipfile.ZipFile(path) as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    text = files[MODEL].decode()
+    assert re.match(r"<\?xml [^>]*encoding=.UTF-8.", text)
+    files[MODEL] = text.replace("UTF-8", encoding, 1).encode(encoding)
+    found = check(write(path, files))
+    assert [(f.check, f.severity) for f in found.problems] == expected
+
+
+DERIVATIVES = b"""<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="2.0" modelName="m" guid="g" numberOfEventIndicators="0">
+<ModelExchange modelIdentifier="m"/><ModelVariables>
+<ScalarVariable name="x" valueReference="1" initial="exact"><Real start="0"/></ScalarVariable>
+<ScalarVariable name="der(x)" valueReference="2" initial="calculated"><Real derivative="1"/>
+</ScalarVariable>
+<ScalarVariable name="v" valueReference="2" initial="calculated"><Real derivative="1"/>
+</ScalarVariable></ModelVariables><ModelStructure>%b
+<InitialUnknowns><Unknown index="2"/><Unknown index="3"/></InitialUnknowns></ModelStructure>
+</fmiModelDescription>"""
+
+
+@pytest.mark.parametrize("listed", [b"2", b"3", b""])
+def test_one_of_two_derivatives_of_a_state_is_listed(listed, tmp_path):
+    structure = b'<Derivatives><Unknown index="%b"/></Derivatives>' % listed if listed else b""
+    found = check(write(tmp_path / "F.fmu", {MODEL: DERIVATIVES % structure}))
+    names = [f.check for f in found.problems]
+    assert names.count("structure-states") == (0 if listed else 1)
 
 
 def test_fmi_3_is_checked(tmp_path):
@@ -138,16 +172,16 @@ def test_sources_and_binaries_of_fmi_3_are_checked(tmp_path):
     }  # fmt: skip
     found = check(write(tmp_path / "F.fmu", members))
     assert texts(found, ("source", "binary-none")) == [
-        Containing("CoSimulation lists the source file 'none.c'"),
+        Containing("1 source file", "'none.c'"),
         Containing("sources/all.c: includes 'mine.h', which"),
     ]
     assert texts(found, "binary") == [Containing("folder is ELF for X86_64")]
     assert "binaries/linux64: not checked; the platform is unknown." in (found.skipped)
 
 
-@pytest.mark.parametrize("xml", [FMI_1, FMI_3])
-def test_the_schema_of_the_version_is_used(xml, tmp_path):
-    path = write(tmp_path / "F.fmu", {MODEL: xml.replace(b'causality="output"', b'causality="x"')})
+def test_the_schema_of_the_version_is_used(tmp_path):
+    xml = FMI_3.replace(b'causality="output"', b'causality="x"')
+    path = write(tmp_path / "F.fmu", {MODEL: xml})
     assert texts(check(path), "xsd")
 
 
