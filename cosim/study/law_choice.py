@@ -48,11 +48,12 @@ def fit_chosen_laws(
     body: RigidBody,
     *,
     identifies_body: bool,
+    laws: Sequence[str] = (),
     seed: int = 0,
     provenance: Mapping[str, Any] | None = None,
     progress: Stages = silent,
 ) -> tuple[FrictionModel, LawChoice]:
-    """Fit the proposed laws, choose by left-out rows, and return the chosen model.
+    """Fit laws, choose by left-out rows, and return the chosen model.
 
     Parameters
     ----------
@@ -60,16 +61,17 @@ def fit_chosen_laws(
     body : rigid body of all of them.
     identifies_body : whether the body was identified from these motions, so that each fold needs
         one of its own.
+    laws : names of the laws; by default the proposed ones.
     """
     folds = split_into_folds(motions)
     bodies = [identify_without(fold, robot, body) if identifies_body else body for fold in folds]
-    laws = [
+    judged_laws = [
         law_name
-        for law_name in select_laws("proposed")
+        for law_name in laws or select_laws("proposed")
         if all(getattr(robot.description, need) is not None for need in estimator(law_name).needs)
     ]
     errors = judge_laws(
-        laws,
+        judged_laws,
         motions,
         robot,
         folds,

@@ -56,8 +56,9 @@ def export(
     Parameters
     ----------
     source : law or path
-        Friction model (.json) or uf850-table1 (the paper's); MJCF or URDF of an
-        arm (.xml, .urdf); system of FMUs (.toml, .ssp); with format loop,
+        Friction model (.json), uf850-table1 (the paper's), or a measured robot
+        that ships (ur10, fretting, cylinder), which brings robot, body and logs;
+        MJCF or URDF of an arm (.xml, .urdf); system of FMUs (.toml, .ssp); with format loop,
         results of a study of a twin, or the study.
     output : path
         File to write, or folder of a loop.
@@ -97,6 +98,7 @@ def export(
         $ hesr export robot.xml -o Arm.fmu --signals arm.toml --platform win64
         $ hesr export robot.urdf -o Arm.fmu
         $ hesr export closed_loop.toml -o loop.ssp
+        $ hesr export ur10 --format mjcf-joint -o ur10_friction.xml
 
     >>> import hesr
     >>> hesr.export("law.json", "Friction.fmu", platform="linux64").name
@@ -108,10 +110,11 @@ def export(
     platforms = None if platform is None else list_names("platform", platform)
     require_text("format", format)
     export_format = choose_format(source, format, output)
+    source, given_options = _take_ready_model(source, export_format, _drop_unset(options), progress)
     request = ExportRequest(
         source=source,
         output=output,
-        options=_drop_unset(options),
+        options=given_options,
         platforms=export_format.choose_platforms(platforms),
         progress=progress,
     )
@@ -129,6 +132,32 @@ def _drop_unset(options: Mapping[str, object]) -> dict[str, object]:
     return {
         name: value for name, value in options.items() if value is not None and value is not False
     }
+
+
+def _take_ready_model(
+    source: LawArg, export_format: ExportFormat, options: dict[str, object], progress: Stages
+) -> tuple[LawArg, dict[str, object]]:
+    """Return the laws of a shipped robot by its name, and options with its robot, body and logs.
+
+    Other sources are returned as they are, and options that are set stay.
+    """
+    if export_format.kind is not LAW or not isinstance(source, str) or Path(source).exists():
+        return source, options
+    from cosim.study.ready_model import build_ready_model, find_measured_studies
+
+    study_path = find_measured_studies().get(source)
+    if study_path is None:
+        return source, options
+    ready = build_ready_model(study_path, progress)
+    own = {
+        "robot": ready.robot,
+        "rigid_body": ready.body,
+        "log": ready.training,
+        "test_log": ready.tests,
+    }
+    known = export_format.exporter.option_names
+    defaults = {name: value for name, value in own.items() if name in known}
+    return ready.model, defaults | options
 
 
 def _export_law(export_format: ExportFormat, request: ExportRequest) -> None:

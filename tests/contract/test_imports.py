@@ -37,7 +37,6 @@ ONLY_IN = {
         "hesr_model/robots/mjcf.py",
         "fmu_src/arm/*",
         "hesr/extras/view/*",
-        "hesr/extras/reduction/soft_friction.py",
     ),
     "pythonfmu": ("fmu_src/arm/*",),
     "matplotlib": ("cosim/report/figures/*", "hesr/extras/*figures.py"),

@@ -13,6 +13,7 @@ import pytest
 from joint_data import along, law, path
 
 import hesr
+from cosim.servo.record import ServoRecord
 from hesr.extras.reduction.formats import (
     ISAACLAB,
     MJCF_JOINT,
@@ -26,7 +27,12 @@ from hesr.extras.reduction.formats import (
     compose_urdf,
 )
 from hesr.extras.reduction.projection import ReducedJoint, project, reduce_model
-from hesr.extras.reduction.soft_friction import DEFAULT_SOLREF, SOLREF, simulate_creep
+from hesr.extras.reduction.soft_friction import (
+    DEFAULT_SOLREF,
+    SOLREF,
+    follow_commands,
+    simulate_creep,
+)
 from hesr_model.errors import ExportError
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
@@ -125,6 +131,31 @@ def test_mujoco_creeps_less_with_the_written_constant() -> None:
     speeds = [simulate_creep(joint, solref=solref) for solref in (SOLREF, DEFAULT_SOLREF)]
     assert 0.0 < speeds[0] < 0.5 * speeds[1]
     assert f"{joint.name}: {speeds[0]:.2g} rad/s" in " ".join(MJCF_JOINT.describe(JOINTS))
+
+
+def test_a_servo_too_stiff_for_the_step_is_unstable_in_mujoco() -> None:
+    t = np.arange(0.0, 1.0, 0.01)
+    q = 0.2 * np.sin(5.0 * t)
+    zeros = np.zeros_like(t)
+    record = ServoRecord(
+        log="run",
+        joint="j1",
+        t=t,
+        q_cmd=q,
+        dq_cmd=zeros,
+        q=q,
+        posture=q,
+        dq=zeros,
+        ddq=zeros,
+        inertia=np.full_like(t, 1e-4),
+        bias=zeros,
+        slope=zeros,
+    )
+    joint = replace(JOINTS[1], inertia=1e-4, frictionloss=0.01, damping=1e-3)
+    stiff = follow_commands(joint, record, JointServo(kp=5e3), 1.0)
+    assert np.all(np.isinf(stiff))
+    soft = follow_commands(joint, record, JointServo(kp=0.5), 1.0)
+    assert np.sqrt(np.mean((soft - q) ** 2)) < 0.1
 
 
 def test_a_urdf_has_the_numbers() -> None:

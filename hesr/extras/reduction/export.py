@@ -222,6 +222,8 @@ def _describe_positions(joints: Sequence[ReducedJoint]) -> Iterator[str]:
         law, numbers, in_mujoco = (
             f"{1e3 * value:.3g}" for value in (price.law, price.numbers, price.in_mujoco)
         )
+        if np.isinf(price.in_mujoco):
+            in_mujoco = "unstable"
         in_mujoco += f" in MuJoCo at steps of {1e3 * STEP:g} ms"
         if price.is_measured:
             yield (

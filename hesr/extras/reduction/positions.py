@@ -108,7 +108,7 @@ def add_position_price(
     reference = law_positions
     if run.is_measured:
         reference = np.concatenate([record.q for record in records])
-    for positions in (law_positions, reduced_positions, soft_positions):
+    for positions in (law_positions, reduced_positions):
         if not np.all(np.isfinite(positions)):
             raise ExportError(
                 f"joint '{joint.name}': it does not follow its commands under this servo; check "

@@ -61,7 +61,7 @@ class PositionPrice:
     ----------
     kp : gain of the servo [N.m/rad].
     law, numbers, in_mujoco : RMSE of positions with the law, with the numbers as dry friction, and
-        with them in MuJoCo's soft form [rad; m].
+        with them in MuJoCo's soft form [rad; m], infinite if that is unstable.
     is_measured : whether errors are those from measured positions, or from those under the law.
     """
 

@@ -7,6 +7,7 @@ import numpy as np
 from cosim.servo.record import ServoRecord
 from hesr.extras.reduction.projection import ReducedJoint
 from hesr_model.friction.servo import JointServo
+from hesr_model.robots.mjcf import import_engine
 from hesr_model.support.arrays import Array
 
 STEP = 0.002  # [s], MuJoCo's own
@@ -51,7 +52,7 @@ def follow_commands(
     """Return the positions (N,) [rad; m] of a joint in MuJoCo along the commands of a log.
 
     Inertia, bias and its slope change from row to row, as in `cosim.servo.engine`. Steps are at
-    most MuJoCo's own, and delays are rounded to them.
+    most MuJoCo's own, and delays are rounded to them. Infinite if the simulation is unstable.
     """
     mujoco, model = _build_axis(joint, SOLREF, servo)
     data = mujoco.MjData(model)
@@ -81,15 +82,16 @@ def follow_commands(
             data.qfrc_applied[0] = -(constant[k] + slope[k] * data.qpos[0])
             mujoco.mj_step(model, data)
         positions[k + 1] = data.qpos[0]
-    return positions
+    # MuJoCo begins anew after numbers that are not finite, and counts them.
+    is_unstable = any(warning.number for warning in data.warning)
+    return np.full_like(positions, np.inf) if is_unstable else positions
 
 
 def _build_axis(
     joint: ReducedJoint, solref: str, servo: JointServo | None = None
 ) -> tuple[Any, Any]:
     """Return MuJoCo and its model of one axis without gravity, and with a servo if it has one."""
-    import mujoco
-
+    mujoco = import_engine()
     kind = "slide" if joint.sliding else "hinge"
     armature = joint.armature or 0.0
     link_inertia = max(joint.inertia - armature, _SMALL_SHARE * joint.inertia)
