@@ -56,10 +56,10 @@ def export(
     Parameters
     ----------
     source : law or path
-        Friction model (.json), uf850-table1 (the paper's), or a measured robot
-        that ships (ur10, fretting, cylinder), which brings robot, body and logs;
-        MJCF or URDF of an arm (.xml, .urdf); system of FMUs (.toml, .ssp); with format loop,
-        results of a study of a twin, or the study.
+        Friction model (.json), uf850-table1 (the paper's), or a shipped robot
+        (ur10, fretting, cylinder), which brings robot file, body and logs;
+        MJCF or URDF of an arm (.xml, .urdf); system of FMUs (.toml, .ssp); with
+        format loop, results of a study of a twin, or the study.
     output : path
         File to write, or folder of a loop.
     format : str, optional
