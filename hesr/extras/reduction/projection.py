@@ -159,7 +159,8 @@ def project(dq: Array, tau: Array, weight: Weight) -> tuple[float, float]:
     """Return Coulomb friction [N.m] and damping [N.m.s/rad] nearest to a torque.
 
     The residual of least squares is orthogonal to the velocity, so that the dissipated energy is
-    kept where the damping is positive; weighed by speed, it is always kept.
+    kept where the damping is positive; weighed by speed, it is always kept. Without damping,
+    Coulomb friction alone is that of the same energy.
 
     Parameters
     ----------
@@ -171,6 +172,8 @@ def project(dq: Array, tau: Array, weight: Weight) -> tuple[float, float]:
     root_weights = np.sqrt(np.abs(dq)) if weight == "power" else np.ones(len(dq))
     unknowns, _ = nnls(root_weights[:, None] * columns / scale, root_weights * tau)
     frictionloss, damping = unknowns / scale
+    if damping == 0.0:
+        frictionloss = max(0.0, float(tau @ dq) / float(np.sum(np.abs(dq))))
     return float(frictionloss), float(damping)
 
 
