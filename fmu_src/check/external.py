@@ -17,7 +17,7 @@ VDMCHECK_SECONDS = 300.0
 VDMCHECK_VARIABLES = 5000  # it takes quadratic time
 
 JAR = "vdmcheck2.jar"
-NO_VDMCHECK = "VDMCheck2: --vdmcheck names no folder."
+NO_VDMCHECK = "VDMCheck2: no folder of it is given."
 """Why it was not run, which is said once for all files."""
 
 _MAX_MESSAGE_LENGTH = 1000  # characters of a message: FMPy lists all unknowns in one

@@ -249,10 +249,10 @@ def laws_to_compare(place: Place) -> Iterator[str]:
 
 def folder_of_vdmcheck(place: Place) -> Iterator[str]:
     fmu = place.bench / "Friction.fmu"
-    yield (text := place.run("check", fmu).out)
-    (option,) = re.findall(r"VDMCheck2: (--\w+)", text)
+    yield (text := place.run("check", fmu, "--verbose").out)
+    (option,) = re.findall(r"--vdm\w+", text)
     (place.folder / JAR).write_bytes(b"")
-    yield place.run("check", fmu, option, place.folder).out
+    yield place.run("check", fmu, "--verbose", option, place.folder).out
 
 
 def lines_of_a_proposed_study(place: Place) -> Iterator[str]:
@@ -446,7 +446,7 @@ EXECUTED: dict[str, Callable[[Place], Iterator[str]]] = {
     "takes the URDF or MJCF": robot_of_a_project,
     "selects other joints": joints_of_a_project,
     "give one result; use": laws_to_compare,
-    "names no folder": folder_of_vdmcheck,
+    "VDMCheck2 was not run": folder_of_vdmcheck,
     "# test = ": lines_of_a_proposed_study,
     "# refinement = ": lines_of_a_proposed_study,
     "no start pose is free": start_of_a_motion,

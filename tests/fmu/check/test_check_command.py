@@ -42,7 +42,7 @@ def bad(source_fmu, tmp_path):
 
 RULE_COUNT = 58
 RECORD = "record: unchanged since its export."
-NO_VDMCHECK = "VDMCheck2: --vdmcheck names no folder."
+NO_VDMCHECK = "VDMCheck2: no folder of it is given."
 PLATFORMS = "platforms: linux64; no binary for tools on Windows and macOS."
 PROBLEM = "modelDescription.xml: it holds '/home/anna/x'"
 
