@@ -146,7 +146,7 @@ def test_a_mapping_names_laws(table1: FrictionModel, table1_fmu: Path) -> None:
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"neither a friction model \(\.json\), an FMU"):
+    with pytest.raises(ConfigError, match=r"neither a friction model"):
         read_laws(tmp_path / "law.txt")
 
 
