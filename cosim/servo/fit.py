@@ -34,6 +34,9 @@ from hesr_model.support.arrays import Array, Integers, Mask
 
 _START_FACTORS = (1.0, 0.5, 2.0)  # of all torques over the gain
 _SEARCH_RUNS, _POLISH_RUNS, _FOLD_RUNS, _FINE_RUNS = 8, 30, 6, 20  # most evaluations
+_DESCENTS = 8  # most steps with one Jacobian
+_SETTLED = 1e-6  # relative fall of the loss that ends them
+_NEARLY = 0.998  # of the loss: a greater fall in the last steps needs a further search
 _SEARCH_SECONDS = 120.0  # of the records that try starts and servos
 _HUBER = 1.345  # standard deviations beyond which an error counts linearly
 _MAD_TO_DEVIATION = 1.4826  # standard deviation over the median size of normal errors
@@ -112,8 +115,10 @@ class JointProblem:
         if len(self._records) < len(all_records):
             self._use(all_records, self._substep)
             numbers = search.minimise(numbers, _POLISH_RUNS)
+        jacobian = search.compute_jacobian(numbers)
         self._substep = FINE_SUBSTEP
-        return self._finish(search, search.minimise(numbers, _FINE_RUNS))
+        numbers, _ = search.descend(numbers, jacobian)
+        return self._finish(search, numbers)
 
     def _use(self, records: Sequence[ServoRecord], substep: float) -> None:
         """Set the records that runs follow, and their inner steps [s]."""
@@ -132,7 +137,8 @@ class JointProblem:
         self._base = replace(self._base, latency=latency)
         search = _Search(self, unknowns)
         self._substep = FINE_SUBSTEP
-        numbers = search.minimise(_encode(unknowns, values), _FINE_RUNS)
+        numbers = _encode(unknowns, values)
+        numbers, _ = search.descend(numbers, search.compute_jacobian(numbers))
         refitted = self._finish(search, numbers)
         later = replace(refitted.servo, latency=latency + _LATENCY_DIFFERENCE)
         shifted = self.compute_errors(later, refitted.law.values)
@@ -294,7 +300,12 @@ class JointProblem:
         return _encode(search.unknowns, [starts[unknown.name] for unknown in search.unknowns])
 
     def _finish(self, search: "_Search", numbers: Array) -> JointFit:
+        """Return the fit after last steps with the derivatives at its end."""
         jacobian = search.compute_jacobian(numbers)
+        numbers, remaining = search.descend(numbers, jacobian)
+        if remaining < _NEARLY:
+            numbers = search.minimise(numbers, _FINE_RUNS)
+            jacobian = search.compute_jacobian(numbers)
         is_reached = np.any(jacobian != 0.0, axis=0)
         if not np.all(is_reached):  # a limit beyond all that happens; nothing else has no effect
             kept = np.flatnonzero(is_reached)
@@ -324,6 +335,16 @@ class _Search:
         self._problem = problem
         self.unknowns = tuple(unknowns)
         self._is_used = is_used
+        self._bounds = (
+            np.array([unknown.encode(unknown.lower) for unknown in self.unknowns]),
+            np.array([unknown.encode(unknown.upper) for unknown in self.unknowns]),
+        )
+
+    def _find_huber(self, residual: Array) -> float:
+        """Return the error [rad; m] beyond which errors (N,) count linearly."""
+        used = residual if self._is_used is None else residual[self._is_used]
+        spread = _MAD_TO_DEVIATION * float(np.median(np.abs(used)))
+        return _HUBER * max(spread, _LEAST_SPREAD)
 
     def compute_residual(self, numbers: Array) -> Array:
         """Return the position errors (N,); 0 where they do not count."""
@@ -364,24 +385,54 @@ class _Search:
             columns.append(change / (later[k] - earlier[k]))
         return np.column_stack(columns)
 
+    @staticmethod
+    def _compute_loss(residual: Array, largest: float) -> float:
+        """Return the sum of Huber's losses of errors (N,), linear beyond the `largest`."""
+        sizes = np.abs(residual)
+        linear = largest * (sizes - 0.5 * largest)
+        return float(np.sum(np.where(sizes < largest, 0.5 * sizes**2, linear)))
+
+    def descend(self, numbers: Array, jacobian: Array) -> tuple[Array, float]:
+        """Return numbers after steps with one Jacobian (N, P), and the remaining share of the loss.
+
+        Steps go on as long as the loss falls. Near the minimum, derivatives hardly change: a step
+        takes one run instead of two for each unknown.
+        """
+        lower, upper = self._bounds
+        residual = self.compute_residual(numbers)
+        largest = self._find_huber(residual)
+        first_loss = self._compute_loss(residual, largest)
+        loss = first_loss
+        for _ in range(_DESCENTS):
+            roots = np.sqrt(np.minimum(1.0, largest / np.maximum(np.abs(residual), 1e-300)))
+            sizes = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+            step = np.linalg.lstsq(roots[:, None] * (jacobian / sizes), -roots * residual)[0]
+            later = np.clip(numbers + step / sizes, lower + _INSIDE, upper - _INSIDE)
+            later_residual = self.compute_residual(later)
+            later_loss = self._compute_loss(later_residual, largest)
+            if not later_loss < loss:
+                break
+            is_settled = later_loss > (1.0 - _SETTLED) * loss
+            numbers = later
+            residual = later_residual
+            loss = later_loss
+            if is_settled:
+                break
+        return numbers, loss / max(first_loss, 1e-300)
+
     def minimise(self, numbers: Array, runs: int, *, is_rough: bool = False) -> Array:
         """Return the numbers of the least Huber loss within some evaluations.
 
         A rough search, which compares starts, takes differences to one side.
         """
-        lower = np.array([unknown.encode(unknown.lower) for unknown in self.unknowns])
-        upper = np.array([unknown.encode(unknown.upper) for unknown in self.unknowns])
-        residual = self.compute_residual(numbers)
-        if self._is_used is not None:
-            residual = residual[self._is_used]
-        spread = max(_MAD_TO_DEVIATION * float(np.median(np.abs(residual))), _LEAST_SPREAD)
+        lower, upper = self._bounds
         result = scipy.optimize.least_squares(
             self.compute_residual,
             np.clip(numbers, lower + _INSIDE, upper - _INSIDE),
             jac=self.compute_rough_jacobian if is_rough else self.compute_jacobian,
             bounds=(lower, upper),
             loss="huber",
-            f_scale=_HUBER * spread,
+            f_scale=self._find_huber(self.compute_residual(numbers)),
             x_scale="jac",
             max_nfev=runs,
             xtol=1e-7,
