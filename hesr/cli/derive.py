@@ -9,6 +9,7 @@ import ast
 import inspect
 import re
 import sys
+import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
@@ -265,7 +266,9 @@ def _help_records(options: Sequence[click.Parameter], ctx: click.Context) -> lis
 def _write_section(
     formatter: click.HelpFormatter, title: str, records: list[tuple[str, str]]
 ) -> None:
-    with formatter.section(title):
+    # Titles that name many formats take several lines.
+    lines = textwrap.wrap(title, formatter.width - 1, break_on_hyphens=False)
+    with formatter.section("\n".join(lines)):
         formatter.write_dl(records)
 
 
