@@ -56,7 +56,8 @@ def test_a_robot_is_exported_by_name(study: Path, tmp_path: Path, cli: Hesr) -> 
     assert again.read_bytes() == output.read_bytes()
     # Options that are set stay.
     other = tmp_path / "other.xml"
-    said = cli("export", "small", "--format", "mjcf-joint", "--weight", "power", "-o", other)
+    judged = study.parent / "cylinder_4.csv"
+    said = cli("export", "small", "--format", "mjcf-joint", "--test-log", judged, "-o", other)
     assert said.code == 0, said.err
     assert other.read_bytes() != output.read_bytes()
 
