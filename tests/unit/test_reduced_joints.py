@@ -102,6 +102,17 @@ def test_a_weight_by_speed_prefers_fast_rows() -> None:
     assert errors["power"] < 0.9 * errors["rows"]
 
 
+def test_the_price_spreads_over_logs() -> None:
+    """A day with twice the noise costs more; one log, also in parts, has no spread."""
+    calm = along(PLAIN, path(7), noise=0.1, seed=7)
+    noisy = replace(along(PLAIN, path(8), noise=0.2, seed=8), log="noisy")
+    training = [[along(PLAIN, path(0))]]
+    [joint] = reduce_model(model_of(PLAIN), training, [[calm], [noisy]], None, [0.5])
+    assert joint.price.spread == pytest.approx((0.1, 0.2), rel=0.1)
+    [parts] = reduce_model(model_of(PLAIN), training, [[calm], [calm]], None, [0.5])
+    assert parts.price.spread is None
+
+
 def test_a_joint_that_stands_still_is_named() -> None:
     record = along(PLAIN, path(0))
     still = replace(record, q=np.full_like(record.q, 0.3), dq=np.zeros_like(record.dq))

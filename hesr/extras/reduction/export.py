@@ -202,6 +202,9 @@ def _describe_price(joints: Sequence[ReducedJoint], *, is_held_back: bool) -> It
         rmses = f"{price.law_rmse:.4g} and {price.rmse:.4g}"
         if joint.servo is not None:
             rmses = f"{price.rmse:.4g}"
+        if price.spread is not None:
+            lowest, highest = price.spread
+            rmses += f" ({lowest:.4g} to {highest:.4g} in single logs)"
         low_speed, high_speed = (f"{value:.3g}" for value in price.speeds)
         low_load, high_load = (f"{value:.3g}" for value in price.loads)
         yield (

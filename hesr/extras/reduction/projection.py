@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from hesr_model.errors import ExportError
@@ -43,6 +44,8 @@ class Price:
     energy : energy that the numbers dissipate over that of the law.
     speeds : lowest and highest speed of the rows [rad/s].
     loads : lowest and highest rigid-body torque of the rows [N.m].
+    spread : lowest and highest RMSE [N.m] of the numbers in a log, such as that of a day or of a
+        specimen; None of one log.
     """
 
     law_rmse: float
@@ -51,6 +54,7 @@ class Price:
     energy: float
     speeds: tuple[float, float]
     loads: tuple[float, float]
+    spread: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,8 +107,12 @@ class ReducedJoint:
 
 @dataclass(frozen=True, kw_only=True)
 class _MovingRows:
-    """Rows with motion of one joint in all logs, with measured friction and that of its law."""
+    """Rows with motion of one joint in all logs, with measured friction and that of its law.
 
+    `log` (N,) is the name of the log of each row.
+    """
+
+    log: NDArray[np.str_]
     dq: Array
     tau_load: Array
     tau: Array
@@ -189,7 +197,9 @@ def _find_moving_rows(model: FrictionModel, records: LogRecords) -> Iterator[_Mo
                 f"joint '{model.joints[j]}': it stands still in "
                 f"{', '.join(record.log for record in joint_records)}; add logs in which it moves."
             )
+        names = [np.full(len(record.t), record.log) for record in joint_records]
         yield _MovingRows(
+            log=np.concatenate([name[rows] for name, rows in zip(names, is_moving, strict=True)]),
             dq=_join([record.dq for record in joint_records], is_moving),
             tau_load=_join([record.tau_load for record in joint_records], is_moving),
             tau=_join([record.tau for record in joint_records], is_moving),
@@ -207,6 +217,7 @@ def _compute_price(rows: _MovingRows, frictionloss: float, damping: float) -> Pr
     law_error = rows.tau_law - rows.tau
     error = tau_reduced - rows.tau
     variance = float(np.var(rows.tau))
+    log_rmses = [rmse(error[rows.log == log]) for log in np.unique(rows.log)]
     return Price(
         law_rmse=rmse(law_error),
         rmse=rmse(error),
@@ -214,6 +225,7 @@ def _compute_price(rows: _MovingRows, frictionloss: float, damping: float) -> Pr
         energy=float(tau_reduced @ rows.dq) / float(rows.tau_law @ rows.dq),
         speeds=(float(np.min(np.abs(rows.dq))), float(np.max(np.abs(rows.dq)))),
         loads=(float(np.min(rows.tau_load)), float(np.max(rows.tau_load))),
+        spread=(min(log_rmses), max(log_rmses)) if len(log_rmses) > 1 else None,
     )
 
 
