@@ -61,8 +61,8 @@ def find_scale(
     )
     servo = description.servo
     joint_count = len(description.joints)
-    if servo.kp is not None:
-        gain = servo.expand_per_joint("kp", joint_count)[j]
+    gain = servo.find_gain(j, joint_count)
+    if gain is not None:
         return _compare(
             TorqueScale(source="gain", gain=gain, error=servo.gain_error), gravity=gravity
         )
@@ -101,8 +101,8 @@ def _list_stated(
     """Yield the sizes by what is stated of joint j beside its gain; None where a fit lacks it."""
     servo = description.servo
     joint_count = len(description.joints)
-    if servo.torque_limit is not None:
-        limit = servo.expand_per_joint("torque_limit", joint_count)[j]
+    limit = servo.find_torque_limit(j, joint_count)
+    if limit is not None:
         yield _find_by_reference(
             interval, "torque_limit", limit, source="stall torque", error=servo.gain_error
         )

@@ -153,7 +153,16 @@ def remove_joints(
         if isinstance(entries, tuple)
     }
     changes |= springs
+    inertia_added = {
+        log: {joint: inertia for joint, inertia in inertias.items() if joint not in locked}
+        for log, inertias in description.scale.inertia_added.items()
+    }
     return apply_changes(
         description,
-        {**changes, "known": known_parameters, "locked": {**description.locked, **locked}},
+        {
+            **changes,
+            "known": known_parameters,
+            "locked": {**description.locked, **locked},
+            "scale.inertia_added": inertia_added,
+        },
     )

@@ -11,12 +11,13 @@ ServoKind = Literal["position", "voltage", "pd", "pid"]
 """Torque from position errors alone, with the error of speeds, and with the integral."""
 
 _Positive = Annotated[float, Field(gt=0)]
-_PerJoint = _Positive | tuple[_Positive, ...]
+_Known = _Positive | Literal["free"]
 
 
 class ServoDescription(Config):
     """The servo of each joint, as far as it is known; one value, or one per joint.
 
+    What is not known is "free", the default.
     `kp` [N.m/rad] and a `torque_limit` [N.m] that the logs reach fix the size of all torques.
     `gain_error` is the relative standard error of a stated gain or limit. Other gains are fitted:
     kind "position" has kp, "pd" also a gain of speed errors, "pid" also one of the integral.
@@ -25,9 +26,19 @@ class ServoDescription(Config):
     """
 
     kind: ServoKind = "position"
-    kp: _PerJoint | None = None
-    torque_limit: _PerJoint | None = None
+    kp: _Known | tuple[_Known, ...] = "free"
+    torque_limit: _Known | tuple[_Known, ...] = "free"
     gain_error: Annotated[float, Field(ge=0, lt=1)] = 0.05
+
+    def find_gain(self, j: int, joint_count: int) -> float | None:
+        """Return the stated gain [N.m/rad] of joint j; None if it is free."""
+        gain = self.expand_per_joint("kp", joint_count)[j]
+        return None if gain == "free" else float(gain)
+
+    def find_torque_limit(self, j: int, joint_count: int) -> float | None:
+        """Return the stated torque limit [N.m] of joint j; None if it is free."""
+        limit = self.expand_per_joint("torque_limit", joint_count)[j]
+        return None if limit == "free" else float(limit)
 
 
 class ScaleDescription(Config):

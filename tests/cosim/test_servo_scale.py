@@ -16,6 +16,7 @@ from cosim.servo.result import count_releases
 from cosim.servo.scale import TorqueScale, find_shared_scale
 from hesr_model.errors import ConfigError
 from hesr_model.friction.model import FrictionModel
+from hesr_model.health.joints import remove_joints
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.robots.servo_description import ScaleDescription, ServoDescription
@@ -237,3 +238,22 @@ def test_a_measured_arm_goes_from_log_to_plant(
     assert said.code == 0, said.err
     assert "scale from the other joints" in said.out
     assert (tmp_path / "results" / "fmus" / "Plant.fmu").exists()
+
+
+def test_single_gains_may_be_free(turntable: HobbyServo, tmp_path: Path) -> None:
+    file = tmp_path / "robot.toml"
+    (tmp_path / "lever.urdf").write_bytes(turntable.robot.description.model.read_bytes())
+    text = 'name = "lever"\nmodel = "lever.urdf"\njoints = ["joint1"]\n[servo]\n'
+    file.write_text(text + 'kp = ["free"]\ntorque_limit = 3.0\n')
+    servo = RobotDescription.read(file).servo
+    assert servo.find_gain(0, 1) is None
+    assert servo.find_torque_limit(0, 1) == 3.0
+    file.write_text(text + "kp = [12.0]\n")
+    assert RobotDescription.read(file).servo.find_gain(0, 1) == 12.0
+    assert RobotDescription.read(file).servo.find_torque_limit(0, 1) is None
+
+
+def test_added_inertia_of_a_locked_joint_is_left_out(tmp_path: Path) -> None:
+    scale = ScaleDescription(inertia_added={"disc": {"j1": DISC, "j2": DISC}})
+    arm = RobotDescription(name="arm", model=Path("arm.urdf"), joints=("j1", "j2"), scale=scale)
+    assert remove_joints(arm, {"j2": 0.0}).scale.inertia_added == {"disc": {"j1": DISC}}

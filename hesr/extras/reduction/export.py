@@ -154,8 +154,10 @@ def _reduce_from_torques(
 
 def _find_stated_gains(robot: Robot) -> Sequence[float] | None:
     """Return the gains of the servos in the robot file [N.m/rad], if it states them."""
-    gains = robot.description.servo.kp
-    return (gains,) * robot.n if isinstance(gains, float) else gains
+    servo = robot.description.servo
+    gains = [servo.find_gain(j, robot.n) for j in range(robot.n)]
+    stated_gains = [gain for gain in gains if gain is not None]
+    return stated_gains if len(stated_gains) == robot.n else None
 
 
 def _add_positions(
