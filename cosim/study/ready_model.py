@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.study.law_choice import fit_chosen_laws
-from cosim.study.shipped_studies import find_shipped_studies
 from cosim.study.steps import Job
 from cosim.study.study import Study
 from fmu_src.export.cache import software
@@ -41,11 +40,6 @@ class ReadyModel:
     robot: Path
     training: tuple[Log, ...]
     tests: tuple[Log, ...]
-
-
-def find_measured_studies() -> dict[str, Path]:
-    """Return the shipped studies with measured logs by name, which is that of their folder."""
-    return {name: path for name, path in find_shipped_studies().items() if path.parent.name == name}
 
 
 def build_ready_model(path: Path, progress: Stages) -> ReadyModel:

@@ -143,11 +143,13 @@ def _take_ready_model(
     """
     if export_format.kind is not LAW or not isinstance(source, str) or Path(source).exists():
         return source, options
-    from cosim.study.ready_model import build_ready_model, find_measured_studies
+    from cosim.study.shipped_studies import find_measured_studies
 
     study_path = find_measured_studies().get(source)
     if study_path is None:
         return source, options
+    from cosim.study.ready_model import build_ready_model
+
     ready = build_ready_model(study_path, progress)
     own = {
         "robot": ready.robot,

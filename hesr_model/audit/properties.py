@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator
 
@@ -352,6 +352,9 @@ def combine_results(
 
 @dataclass(frozen=True, kw_only=True)
 class _PropertiesFile:
+    IRRELEVANT_KEYS: ClassVar[Mapping[str, str]] = {
+        "expectations": "for readers of the file; those of this version count"
+    }
     laws: Mapping[str, Properties]
 
 

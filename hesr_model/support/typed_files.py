@@ -35,6 +35,7 @@ _MAX_SHOWN = 200  # characters
 _MISSING_KEY = "key.missing"
 _UNKNOWN_KEY = "key.unknown"
 _SAME_KEY = 0.75  # similarity of a key to the missing one that it was meant to be
+_MOST_HOMES = 3  # other places of a missing key that are named; a key of many is common
 _CODES = {"missing": _MISSING_KEY, "unexpected_keyword_argument": _UNKNOWN_KEY}
 """Codes of pydantic's errors; the others are called ``value.`` and pydantic's own name."""
 
@@ -276,7 +277,8 @@ def _find_similar(data: Any, key: str) -> list[str]:
     siblings = find_close_names(name, tables.get(place, ()), cutoff=_SAME_KEY)
     if siblings:
         return [join_key(place, sibling) for sibling in siblings]
-    return [join_key(home, name) for home, keys in tables.items() if name in keys]
+    homes = [join_key(home, name) for home, keys in tables.items() if name in keys]
+    return homes if len(homes) <= _MOST_HOMES else []
 
 
 def _build_json_refusal(

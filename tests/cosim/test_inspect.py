@@ -271,7 +271,11 @@ def test_a_clean_log_has_no_findings(
     path = tmp_path / "clean.csv"
     Log(name="clean", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau + noise).write(path)
     answer = tmp_path / "answer.json"
-    said = hesr("inspect", path, "--robot", arm.model, "--json", answer)
+    # Damping of the model file is a finding: it is not in the torques of the bodies.
+    model = tmp_path / "undamped.xml"
+    text = arm.model.read_text(encoding="utf-8")
+    model.write_text(re.sub(r' damping="[^"]*"', "", text), encoding="utf-8")
+    said = hesr("inspect", path, "--robot", model, "--json", answer)
     assert said.code == 0
     assert "Nothing wrong or unusual was found." in said.out
     envelope = json.loads(answer.read_text("utf-8"))

@@ -8,8 +8,10 @@ import pytest
 from small_study import Hesr, hesr_here
 
 import cosim.study.ready_model
+import cosim.study.shipped_studies
 import hesr
-from cosim.study.ready_model import build_ready_model, find_measured_studies
+from cosim.study.ready_model import build_ready_model
+from cosim.study.shipped_studies import find_measured_studies
 from hesr_model.support.files import models_folder
 
 
@@ -30,7 +32,9 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path = folder / "study.toml"
     text = re.sub(r"laws = .*", 'laws = ["stribeck"]', path.read_text(encoding="utf-8"))
     path.write_text(text.replace('"cylinder_2.csv", "cylinder_3.csv", ', ""), encoding="utf-8")
-    monkeypatch.setattr(cosim.study.ready_model, "find_measured_studies", lambda: {"small": path})
+    monkeypatch.setattr(
+        cosim.study.shipped_studies, "find_measured_studies", lambda: {"small": path}
+    )
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     return path
 

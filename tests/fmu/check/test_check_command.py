@@ -14,6 +14,7 @@ from plugin_packages import lay_package
 
 from cosim.workflow.check import check
 from fmu_src import export_fmu
+from fmu_src.check.external import NO_VDMCHECK
 
 
 @dataclass
@@ -42,7 +43,6 @@ def bad(source_fmu, tmp_path):
 
 RULE_COUNT = 58
 RECORD = "record: unchanged since its export."
-NO_VDMCHECK = "VDMCheck2: no folder of it is given."
 PLATFORMS = "platforms: linux64; no binary for tools on Windows and macOS."
 PROBLEM = "modelDescription.xml: it holds '/home/anna/x'"
 
