@@ -42,7 +42,7 @@ def identify_from_commands(
     sentences = model.provenance["from_commands"]
     if any(fitted.scale == "none" for fitted in model.servos):
         said = next(sentence for sentence in sentences if "one factor" in sentence)
-        raise FitError(f"{said}; without one of these there is no body in N.m.")
+        raise FitError(f"{said}; a body in N.m needs one of these.")
     plant_body, servo = find_servo_plant(model, robot)
     plant_robot = plant_body.robot
     parameters = plant_body.parameters

@@ -34,7 +34,7 @@ from hesr_model.support.arrays import Array, Integers
 from hesr_model.support.progress import Progress, silent
 
 FROM_COMMANDS = "from_commands"  # fact of the laws that are tried
-_CONFOUNDED = 1.5  # greatest gain over the smallest of laws that predict alike
+_CONFOUNDED = 1.5  # greatest gain over the smallest of equally good laws
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,7 +60,7 @@ def choose_from_commands(
     ----------
     logs : logs with commanded positions.
     robot : robot of the logs.
-    laws : that are tried beside the baselines, the simplest first; by default some without memory.
+    laws : tried in addition to the baselines, the simplest first; by default some without memory.
     provenance : JSON data on the origin of the model.
     workers : processes, by default one per core.
     progress : called with fits done and in total.
@@ -105,7 +105,7 @@ def choose_from_commands(
 def _describe_ties(
     errors: LeftOutErrors, judged: Sequence[Mapping[str, _Judgement]], chosen: Sequence[str]
 ) -> Iterator[str]:
-    """Yield where laws predict alike: three numbers that suffice, and gains that differ."""
+    """Yield a sentence where three numbers suffice, and where equally good laws differ in gain."""
     for j, joint in enumerate(errors.joints):
         if chosen[j] == CoulombViscous.name:
             yield f"{joint}: no law beats frictionloss, damping and armature on this log."
@@ -115,7 +115,7 @@ def _describe_ties(
         factors = [fit.servo.body_factor for fit in equal_fits if fit.servo.body_factor > 0.0]
         if factors and max(factors) > _CONFOUNDED * min(factors):
             yield (
-                f"{joint}: gain and friction are confounded in this log: laws that predict alike "
+                f"{joint}: gain and friction are confounded in this log: equally good laws "
                 f"have gains of {1.0 / max(factors):.3g} to {1.0 / min(factors):.3g} N.m/rad. "
                 "Log motion against more gravity, or state servo.kp."
             )

@@ -1,4 +1,4 @@
-"""Currents without a sign: what they are, and what they say about the size of torques.
+"""Currents without a sign: their kind, and the size of torques that follows from it.
 
 The motor's current is its torque over a constant, and its torque is the servo's less back-EMF:
 
@@ -46,7 +46,7 @@ class CurrentReading:
 
     @property
     def sentence(self) -> str:
-        """What the current is, in words."""
+        """Kind of the current, in words."""
         if self.kind == "neither":
             return "the current is neither that of the motor nor of the supply, and is not used"
         exponent = f"exponent {self.exponent:.2g} of the servo's error"
@@ -58,7 +58,7 @@ class CurrentReading:
 def read_current(
     records: Sequence[ServoRecord], servo_errors: Sequence[Array], blocks: Integers
 ) -> CurrentReading | None:
-    """Return what the current of a joint is; None if it was not logged.
+    """Return the kind of a joint's current; None if it was not logged.
 
     Parameters
     ----------

@@ -31,9 +31,6 @@ _AXIS = """<robot name="axis"><link name="base"/><link name="link"/>
 <joint name="axis" type="{kind}"><parent link="base"/><child link="link"/><axis xyz="0 0 1"/>
 <limit lower="-1e6" upper="1e6" effort="1e6" velocity="1e6"/></joint></robot>
 """
-_FIRST_ROWS, _FIRST_SECONDS = 10, 0.03  # least rows and time that show the first speed
-_CLEAR = 3.0  # least first speed, in its standard errors
-_RESTING = 1e-3  # share of the fastest speed below which a log starts at rest
 
 
 class JointEngine:
@@ -102,33 +99,11 @@ class JointEngine:
         return positions
 
 
-def find_first_speed(record: ServoRecord) -> float:
-    """Return the speed at the first row; 0 if the first positions allow it.
-
-    Smoothed speeds are least known at the ends of a log, and most logs begin at rest.
-    """
-    smoothed = float(record.dq[0])
-    if abs(smoothed) <= _RESTING * float(np.max(np.abs(record.dq))):
-        return 0.0
-    row_count = max(_FIRST_ROWS, int(np.searchsorted(record.t, _FIRST_SECONDS)))
-    t = record.t[:row_count]
-    if len(t) < _FIRST_ROWS:
-        return smoothed
-    q = record.q[:row_count]
-    columns = np.column_stack([np.ones_like(t), t, t**2])
-    coefficients = np.linalg.lstsq(columns, q, rcond=None)[0]
-    changes = np.abs(np.diff(record.q))
-    step = float(np.min(changes[changes > 0.0], initial=np.inf))
-    noise = max(float(np.std(columns @ coefficients - q)), step / np.sqrt(12.0))
-    error = noise * np.sqrt(np.linalg.inv(columns.T @ columns)[1, 1])
-    return 0.0 if abs(coefficients[1]) < _CLEAR * error else smoothed
-
-
 def _starts(record: ServoRecord, servo: JointServo, substep: float) -> dict[str, float]:
     """Return the start values of a run; a joint that hardly moves starts at rest."""
     return {
         "q_start[1]": float(record.q[0]),
-        "dq_start[1]": find_first_speed(record),
+        "dq_start[1]": record.first_speed,
         "servo_kp[1]": servo.kp,
         "servo_ki[1]": servo.ki,
         "servo_kv[1]": servo.kd,

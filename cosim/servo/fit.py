@@ -395,7 +395,7 @@ class _Search:
     def descend(self, numbers: Array, jacobian: Array) -> tuple[Array, float]:
         """Return numbers after steps with one Jacobian (N, P), and the remaining share of the loss.
 
-        Steps go on as long as the loss falls. Near the minimum, derivatives hardly change: a step
+        It ends when the loss stops falling. Near the minimum, derivatives hardly change: a step
         takes one run instead of two for each unknown.
         """
         lower, upper = self._bounds

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
 _ROUND_OFF = 1e-9  # of positions [rad; m]
+_FIRST_ROWS, _FIRST_SECONDS = 10, 0.03  # least rows and time that show the first speed
+_CLEAR = 3.0  # least first speed, in its standard errors
+_RESTING = 1e-3  # share of the fastest speed below which a log starts at rest
 _SLOPE_STEP = 1e-5  # [rad; m] between the postures of a difference
 
 
@@ -34,7 +38,7 @@ class ServoRecord:
         the posture.
     slope : (N,) of the bias over the joint's position [N.m/rad; N/m].
     sliding : whether the joint slides.
-    added : known inertia [kg.m2; kg] beside that of the links.
+    added : known inertia [kg.m2; kg] that the log adds to that of the links.
     current_size : (N,) [A], current without a sign; None if not logged.
     """
 
@@ -58,6 +62,11 @@ class ServoRecord:
     def tau_load(self) -> Array:
         """Torque (N,) [N.m; N] that the bodies need along the measured motion."""
         return self.inertia * self.ddq + self.bias
+
+    @cached_property
+    def first_speed(self) -> float:
+        """Speed [rad/s; m/s] at the first row; 0 if the first positions allow it."""
+        return _find_first_speed(self)
 
     def to_friction_record(self, tau_load: Array, tau: Array) -> FrictionRecord:
         """Return a record of friction `tau` under a load (N,) along the measured motion."""
@@ -148,3 +157,25 @@ def find_encoder_step(records: Sequence[ServoRecord]) -> float:
     """Return the smallest step of the measured positions [rad; m]."""
     steps = np.concatenate([np.abs(np.diff(record.q)) for record in records])
     return float(np.min(steps[steps > _ROUND_OFF], initial=np.inf))
+
+
+def _find_first_speed(record: ServoRecord) -> float:
+    """Return the speed at the first row; 0 if the first positions allow it.
+
+    Smoothed speeds are least known at the ends of a log, and most logs begin at rest.
+    """
+    smoothed = float(record.dq[0])
+    if abs(smoothed) <= _RESTING * float(np.max(np.abs(record.dq))):
+        return 0.0
+    row_count = max(_FIRST_ROWS, int(np.searchsorted(record.t, _FIRST_SECONDS)))
+    t = record.t[:row_count]
+    if len(t) < _FIRST_ROWS:
+        return smoothed
+    q = record.q[:row_count]
+    columns = np.column_stack([np.ones_like(t), t, t**2])
+    coefficients = np.linalg.lstsq(columns, q, rcond=None)[0]
+    changes = np.abs(np.diff(record.q))
+    step = float(np.min(changes[changes > 0.0], initial=np.inf))
+    noise = max(float(np.std(columns @ coefficients - q)), step / np.sqrt(12.0))
+    error = noise * np.sqrt(np.linalg.inv(columns.T @ columns)[1, 1])
+    return 0.0 if abs(coefficients[1]) < _CLEAR * error else smoothed

@@ -25,7 +25,7 @@ _TORQUE = "N.m"
 _UNSCALED = ("latency", "command_filter", "speed_limit")  # no torques
 _COMMAND_REST = 0.3  # time after which a command rests [s]
 _JOINT_REST = 0.2  # and a joint [s]
-_RELEASE_TIME = 0.3  # in which a joint that was shaken loose travels [s]
+_RELEASE_TIME = 0.3  # after a joint was shaken loose, for its travel [s]
 _RELEASE_STEPS = 3.0  # of the encoder, at least
 _ROUNDING_STEPS = 1.5  # of the encoder, between which a resting joint may be read
 
@@ -43,8 +43,8 @@ class ServoResult:
     usual_friction : median size while the joint moves, over the gain [rad; m].
     release_count : how often a resting joint moved while its command rested.
     gravity_range : largest less smallest gravity over their mean; infinite without gravity.
-    added_inertia : known inertia [kg.m2; kg] that all logs added alike.
-    current : what the current without a sign is; None if there is none.
+    added_inertia : known inertia [kg.m2; kg] that every log added.
+    current : kind of the current without a sign; None if it was not logged.
     """
 
     law: FrictionLaw
@@ -119,7 +119,7 @@ def finish_joint(
 
 
 def _read_current(records: Sequence[ServoRecord], fit: JointFit) -> CurrentReading | None:
-    """Return what the current is, by the torque of the simulated servo, finer than the encoder.
+    """Return the kind of the current by the simulated servo, which is finer than the encoder.
 
     A servo with an integral is left out: its torque at the start is not known.
     """
@@ -226,7 +226,7 @@ def _to_friction_record(record: ServoRecord, servo: JointServo, law: FrictionLaw
 def count_releases(record: ServoRecord, encoder_step: float) -> int:
     """Return how often a joint that rested moved off while its command rested.
 
-    A law knows no cause for that; what other joints shake is one.
+    No law describes that. Vibration from other joints is a possible cause.
     """
     t = record.t
     [is_moving] = find_moving_rows([record])

@@ -61,7 +61,7 @@ def find_scale(
     )
     servo = description.servo
     joint_count = len(description.joints)
-    gain = servo.find_gain(j, joint_count)
+    gain = servo.find_stated("kp", j, joint_count)
     if gain is not None:
         return _compare(
             TorqueScale(source="gain", gain=gain, error=servo.gain_error), gravity=gravity
@@ -98,10 +98,10 @@ def find_shared_scale(scales: Sequence[TorqueScale]) -> TorqueScale | None:
 def _list_stated(
     interval: Interval, description: RobotDescription, j: int, current: CurrentReading | None
 ) -> Iterator[TorqueScale | None]:
-    """Yield the sizes by what is stated of joint j beside its gain; None where a fit lacks it."""
+    """Yield the sizes of joint j by all that is stated except its gain; None if not fitted."""
     servo = description.servo
     joint_count = len(description.joints)
-    limit = servo.find_torque_limit(j, joint_count)
+    limit = servo.find_stated("torque_limit", j, joint_count)
     if limit is not None:
         yield _find_by_reference(
             interval, "torque_limit", limit, source="stall torque", error=servo.gain_error

@@ -8,7 +8,7 @@ from hesr_model.friction.servo import ScaleSource
 _MANY_STEPS = 3.0  # of the encoder: an error that it does not explain
 _FEW_STEPS = 10.0  # of the encoder: a motion that shows no friction
 _LEAST_FRICTION = 2.0  # steps of the encoder below which friction is not seen
-_LEAST_GRAVITY_RANGE = 0.1  # of its mean, which tells gravity and a bias of the encoder apart
+_LEAST_GRAVITY_RANGE = 0.1  # of its mean, which separates gravity from a bias of the encoder
 # Values of a servo: name, unit with and without a scale, and factor.
 _SHOWN = (
     ("kp", "gain", "N.m/rad", "", 1.0),
@@ -95,12 +95,12 @@ def _list_bounds(result: ServoResult) -> Iterator[str]:
 
 
 def _list_doubts(result: ServoResult) -> Iterator[str]:
-    """Yield what the fit could not explain or tell apart."""
+    """Yield what the fit could not explain or separate."""
     fitted = result.servo
     if result.travel < _FEW_STEPS * result.encoder_step:
         yield "the joint moves less than 10 steps of the encoder, which shows no friction"
     if fitted.scale == "gravity" and result.gravity_range < _LEAST_GRAVITY_RANGE:
-        yield "encoder bias and scale cannot be told apart; the bias is held at 0"
+        yield "encoder bias and scale cannot be separated; the bias is held at 0"
     if fitted.scale == "none" and result.added_inertia > 0.0:
         yield "a constant inertia does not fix the scale: the armature absorbs it"
     if fitted.position_rmse > _MANY_STEPS * result.encoder_step:

@@ -42,7 +42,7 @@ class Inspection(Answer):
     constants: Sequence[TorqueConstant] = ()
     next_command: str = ""
     failure: str = ""  # reason why no study can run
-    currents: Sequence[str] = ()  # what currents without a sign are, by joint
+    currents: Sequence[str] = ()  # kinds of unsigned currents, by joint
     files: Sequence[Path] = field(default_factory=tuple)
 
     @property
@@ -250,7 +250,7 @@ def inspect(
 
 
 def _describe_currents(proposal: Proposal) -> list[str]:
-    """Return what currents without a sign are in logs without torque."""
+    """Return the kinds of unsigned currents in logs without torque."""
     from hesr_model.robots.robot import Robot
 
     logs = [log for log in proposal.logs if not log.has_torque and log.current_size is not None]

@@ -30,15 +30,12 @@ class ServoDescription(Config):
     torque_limit: _Known | tuple[_Known, ...] = "free"
     gain_error: Annotated[float, Field(ge=0, lt=1)] = 0.05
 
-    def find_gain(self, j: int, joint_count: int) -> float | None:
-        """Return the stated gain [N.m/rad] of joint j; None if it is free."""
-        gain = self.expand_per_joint("kp", joint_count)[j]
-        return None if gain == "free" else float(gain)
-
-    def find_torque_limit(self, j: int, joint_count: int) -> float | None:
-        """Return the stated torque limit [N.m] of joint j; None if it is free."""
-        limit = self.expand_per_joint("torque_limit", joint_count)[j]
-        return None if limit == "free" else float(limit)
+    def find_stated(
+        self, key: Literal["kp", "torque_limit"], j: int, joint_count: int
+    ) -> float | None:
+        """Return the stated gain [N.m/rad] or torque limit [N.m] of joint j; None if it is free."""
+        value = self.expand_per_joint(key, joint_count)[j]
+        return None if value == "free" else float(value)
 
 
 class ScaleDescription(Config):

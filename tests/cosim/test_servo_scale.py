@@ -246,11 +246,11 @@ def test_single_gains_may_be_free(turntable: HobbyServo, tmp_path: Path) -> None
     text = 'name = "lever"\nmodel = "lever.urdf"\njoints = ["joint1"]\n[servo]\n'
     file.write_text(text + 'kp = ["free"]\ntorque_limit = 3.0\n')
     servo = RobotDescription.read(file).servo
-    assert servo.find_gain(0, 1) is None
-    assert servo.find_torque_limit(0, 1) == 3.0
+    assert servo.find_stated("kp", 0, 1) is None
+    assert servo.find_stated("torque_limit", 0, 1) == 3.0
     file.write_text(text + "kp = [12.0]\n")
-    assert RobotDescription.read(file).servo.find_gain(0, 1) == 12.0
-    assert RobotDescription.read(file).servo.find_torque_limit(0, 1) is None
+    assert RobotDescription.read(file).servo.find_stated("kp", 0, 1) == 12.0
+    assert RobotDescription.read(file).servo.find_stated("torque_limit", 0, 1) is None
 
 
 def test_added_inertia_of_a_locked_joint_is_left_out(tmp_path: Path) -> None:

@@ -155,7 +155,7 @@ def _reduce_from_torques(
 def _find_stated_gains(robot: Robot) -> Sequence[float] | None:
     """Return the gains of the servos in the robot file [N.m/rad], if it states them."""
     servo = robot.description.servo
-    gains = [servo.find_gain(j, robot.n) for j in range(robot.n)]
+    gains = [servo.find_stated("kp", j, robot.n) for j in range(robot.n)]
     stated_gains = [gain for gain in gains if gain is not None]
     return stated_gains if len(stated_gains) == robot.n else None
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cosim.servo.engine import FINE_SUBSTEP, JointEngine, find_first_speed
+from cosim.servo.engine import FINE_SUBSTEP, JointEngine
 from cosim.servo.record import ServoRecord, read_servo_records
 from hesr.extras.reduction.projection import LogRecords, PositionPrice, ReducedJoint
 from hesr.extras.reduction.soft_friction import follow_commands
@@ -103,7 +103,7 @@ def add_position_price(
     law_positions = _run_law(law, servo, records, sliding=joint.sliding)
     reduced_positions = _run_law(reduced_law, servo, records, sliding=joint.sliding)
     soft_positions = np.concatenate(
-        [follow_commands(joint, record, servo, find_first_speed(record)) for record in records]
+        [follow_commands(joint, record, servo, record.first_speed) for record in records]
     )
     reference = law_positions
     if run.is_measured:
