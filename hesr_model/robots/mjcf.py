@@ -13,7 +13,7 @@ from contextlib import ExitStack, contextmanager
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -161,6 +161,7 @@ class _Description(BaseModel):
     armature: dict[str, float]
     springs: dict[str, tuple[float, float]]
     loops: list[tuple[str, str]]
+    couplings: dict[str, list[str]]
     check: _Torques
     forces: dict[str, dict[str, float]] = {}
     unknown_forces: str = ""
@@ -236,7 +237,7 @@ def describe_model(kind: str, source: str, folder: str) -> dict[str, Any]:
             spec.compiler.fusestatic = False
             description = _describe_model(spec.compile())
             if kind == "file":
-                description |= _describe_forces(Path(source), description["check"])
+                description |= _describe_forces(Path(source), description)
             return description
     except RobotError as error:
         return {"unusable": str(error)}
@@ -317,25 +318,78 @@ def _copy_meshes(source: MjcfSource, mesh_names: set[str], folder: Path) -> None
             compiler.attrib.pop(kind, None)
 
 
-def _describe_forces(path: Path, check: dict[str, Any]) -> dict[str, Any]:
-    """Return what the forces of a file are worth by joint, or why they are not known."""
+def _describe_forces(path: Path, description: Compiled) -> dict[str, Any]:
+    """Return what the forces of a file are worth by joint, or why they are not known.
+
+    The joints that equalities of tendons couple are added to those of other equalities.
+    """
+    check = description["check"]
     try:
         spec = _strip_mjcf(path, keep_forces=True)
         spec.compiler.fusestatic = False
         mj_model = spec.compile()
         own_torques = np.array(check["torques"]).reshape(len(check["q"]), -1)
         joint_kinds = [int(kind) for kind in _get_joint_transmissions()]
+        couplings = description["couplings"] | _couple_by_tendons(mj_model)
         at_tendons = ~np.isin(mj_model.actuator_trntype, joint_kinds)
         compute = partial(_compute_inverse, check=check)
         forces = measure_forces(mj_model, compute, own_torques, at_tendons)
     except (ValueError, RuntimeError, KeyError) as error:
         return {"unknown_forces": on_one_line(error)}
     return {
+        "couplings": couplings,
         "forces": {
             force: dict(zip(check["joints"], worths, strict=True))
             for force, worths in forces.items()
-        }
+        },
     }
+
+
+def _couple_by_tendons(mj_model: Any) -> dict[str, list[str]]:
+    """Return the joints that each equality of tendons couples, by the names of the tendons."""
+    kinds = import_engine().mjtEq
+    couplings = {}
+    for k in np.flatnonzero(mj_model.eq_active0):
+        if kinds(mj_model.eq_type[k]) != kinds.mjEQ_TENDON:
+            continue
+        tendons = [mj_model.eq_obj1id[k], mj_model.eq_obj2id[k]]
+        tendons = [int(tendon) for tendon in tendons if tendon >= 0]
+        joints = set[int]().union(*(_find_joints_of_tendon(mj_model, t) for t in tendons))
+        names = [mj_model.tendon(t).name or f"number {t}" for t in tendons]
+        cause = f"an equality of tendon {' and '.join(names)}"
+        couplings[cause] = [mj_model.joint(j).name or f"joint{j}" for j in sorted(joints)]
+    return couplings
+
+
+def _find_joints_of_tendon(mj_model: Any, tendon: int) -> set[int]:
+    """Return the joints that change the length of a tendon.
+
+    Those of a tendon along sites and geoms are the joints above some of them, but not above all.
+    """
+    kinds = import_engine().mjtWrap
+    joints = set[int]()
+    chains = []
+    first = mj_model.tendon_adr[tendon]
+    for wrap in range(first, first + mj_model.tendon_num[tendon]):
+        kind = kinds(mj_model.wrap_type[wrap])
+        target = int(mj_model.wrap_objid[wrap])
+        if kind == kinds.mjWRAP_JOINT:
+            joints.add(target)
+        elif kind == kinds.mjWRAP_SITE:
+            chains.append(_find_joints_above(mj_model, mj_model.site_bodyid[target]))
+        elif kind in (kinds.mjWRAP_SPHERE, kinds.mjWRAP_CYLINDER):
+            chains.append(_find_joints_above(mj_model, mj_model.geom_bodyid[target]))
+    if chains:
+        joints |= set.union(*chains) - set.intersection(*chains)
+    return joints
+
+
+def _find_joints_above(mj_model: Any, body: int) -> set[int]:
+    joints = set[int]()
+    while body > 0:
+        joints.update(np.flatnonzero(mj_model.jnt_bodyid == body).tolist())
+        body = mj_model.body_parentid[body]
+    return joints
 
 
 def _compute_inverse(mj_model: Any, *, check: dict[str, Any]) -> Array:
@@ -365,26 +419,7 @@ def _strip_mjcf(path: Path, *, keep_forces: bool = False) -> Any:
     """
     mujoco = import_engine()
     spec = mujoco.MjSpec.from_file(str(path))
-    joint_transmissions = _get_joint_transmissions()
-    removed_parts = [
-        *spec.sensors,
-        *spec.keys,
-        *spec.pairs,
-        *spec.excludes,
-        *spec.tuples,
-        *spec.skins,
-    ]
-    if not keep_forces:
-        removed_parts += [
-            actuator for actuator in spec.actuators if actuator.trntype not in joint_transmissions
-        ]
-    joint_equalities = (mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
-    removed_parts += [
-        equality for equality in spec.equalities if equality.type not in joint_equalities
-    ]
-    if not keep_forces:
-        removed_parts += spec.tendons
-    for part in removed_parts:
+    for part in _list_ineffective_parts(spec, keep_forces=keep_forces):
         spec.delete(part)
     meshes = set()
     bodies = _find_shaped_bodies(spec)
@@ -401,6 +436,28 @@ def _strip_mjcf(path: Path, *, keep_forces: bool = False) -> Any:
     for asset in (*unused, *spec.materials, *spec.textures, *spec.hfields):
         spec.delete(asset)
     return spec
+
+
+def _list_ineffective_parts(spec: Any, *, keep_forces: bool) -> list[Any]:
+    """Return the parts without an effect on torques, tendons with what they move among them."""
+    kinds = import_engine().mjtEq
+    parts = [
+        *spec.sensors,
+        *spec.keys,
+        *spec.pairs,
+        *spec.excludes,
+        *spec.tuples,
+        *spec.skins,
+    ]
+    equalities = [kinds.mjEQ_JOINT, kinds.mjEQ_CONNECT, kinds.mjEQ_WELD]
+    if keep_forces:
+        equalities.append(kinds.mjEQ_TENDON)
+    parts += [equality for equality in spec.equalities if equality.type not in equalities]
+    if not keep_forces:
+        transmissions = _get_joint_transmissions()
+        parts += [actuator for actuator in spec.actuators if actuator.trntype not in transmissions]
+        parts += spec.tendons
+    return parts
 
 
 def _get_joint_transmissions() -> tuple[Any, Any]:
@@ -447,7 +504,8 @@ def _describe_model(mj_model: Any) -> Compiled:
     names = [mj_model.joint(j).name or f"joint{j}" for j in range(mj_model.njnt)]
     if mj_model.opt.disableflags & int(import_engine().mjtDisableBit.mjDSBL_GRAVITY):
         mj_model.opt.gravity[:] = 0.0
-    followers, held_positions, loops = _read_equalities(mj_model, names)
+    equalities = _read_equalities(mj_model, names)
+    held_positions = equalities.held_positions
     armature = mj_model.dof_armature[mj_model.jnt_dofadr]
     # A joint may have several motors.
     for motor in range(len(mj_model.actuator_armature)):
@@ -457,7 +515,7 @@ def _describe_model(mj_model: Any) -> Compiled:
         name: j for j, name in enumerate(names) if mj_model.jnt_type[j] >= 2
     }  # slide, hinge
     return {
-        "urdf": _write_urdf(mj_model, names, followers, held_positions),
+        "urdf": _write_urdf(mj_model, names, equalities.followers, held_positions),
         "gravity": mj_model.opt.gravity.tolist(),
         "rest": {
             n: float(mj_model.qpos0[mj_model.jnt_qposadr[j]]) for n, j in single_joints.items()
@@ -469,7 +527,8 @@ def _describe_model(mj_model: Any) -> Compiled:
             for name, j in single_joints.items()
             if (k := mj_model.jnt_stiffness[j]) > 0.0 and name not in held_positions
         },
-        "loops": loops,
+        "loops": equalities.loops,
+        "couplings": equalities.couplings,
         "check": _compute_torques(mj_model, single_joints, held_positions),
     }
 
@@ -573,39 +632,60 @@ def _build_pose(position: Any, quaternion: Any = (1.0, 0.0, 0.0, 0.0)) -> Any:
     return pin.SE3(pin.Quaternion(*quaternion).matrix(), np.array(position))
 
 
-def _read_equalities(
-    mj_model: Any, names: list[str]
-) -> tuple[dict[str, tuple[str, float, float]], dict[str, float], list[list[str]]]:
-    """Return q1 = slope q2 + offset as {q1: (q2, slope, offset)}, constant joints, and loops."""
+class _Equalities(NamedTuple):
+    """Active equalities between joints and between bodies.
+
+    Attributes
+    ----------
+    followers : q1 = slope q2 + offset as {q1: (q2, slope, offset)} [rad or m].
+    held_positions : positions of joints that an equality holds [rad or m].
+    loops : names of bodies that are tied to each other.
+    couplings : joints that another equality couples, by what it is.
+    """
+
+    followers: dict[str, tuple[str, float, float]]
+    held_positions: dict[str, float]
+    loops: list[list[str]]
+    couplings: dict[str, list[str]]
+
+
+def _read_equalities(mj_model: Any, names: list[str]) -> _Equalities:
     kinds = import_engine().mjtEq
-    followers = {}
-    fixed_positions = {}
-    loops = []
+    equalities = _Equalities({}, {}, [], {})
     for k in np.flatnonzero(mj_model.eq_active0):
-        follower = int(mj_model.eq_obj1id[k])
-        leader = int(mj_model.eq_obj2id[k])
-        if kinds(mj_model.eq_type[k]) in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD):
-            if mj_model.eq_objtype[k] == import_engine().mjtObj.mjOBJ_SITE:
-                follower, leader = (
-                    int(mj_model.site_bodyid[follower]),
-                    int(mj_model.site_bodyid[leader]),
-                )
-            if np.all(mj_model.body_mocapid[[follower, leader]] < 0):
-                loops.append([mj_model.body(follower).name, mj_model.body(leader).name])
-        elif mj_model.eq_type[k] == kinds.mjEQ_JOINT:
-            constant, slope, *higher = mj_model.eq_data[k][:5].tolist()
-            constant += float(mj_model.qpos0[mj_model.jnt_qposadr[follower]])
-            if leader < 0:
-                fixed_positions[names[follower]] = constant
-                continue
-            if any(higher):
-                raise ValueError(
-                    f"joint '{names[follower]}' follows '{names[leader]}' by a polynomial; only "
-                    "linear equalities can be used"
-                )
-            constant -= slope * float(mj_model.qpos0[mj_model.jnt_qposadr[leader]])
-            followers[names[follower]] = names[leader], slope, constant
-    return followers, fixed_positions, loops
+        kind = kinds(mj_model.eq_type[k])
+        if kind in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD):
+            bodies = _find_tied_bodies(mj_model, int(k))
+            if np.all(mj_model.body_mocapid[bodies] < 0):
+                equalities.loops.append([mj_model.body(body).name for body in bodies])
+        elif kind == kinds.mjEQ_JOINT:
+            _add_joint_equality(equalities, mj_model, int(k), names)
+    return equalities
+
+
+def _find_tied_bodies(mj_model: Any, equality: int) -> list[int]:
+    ends = [int(mj_model.eq_obj1id[equality]), int(mj_model.eq_obj2id[equality])]
+    if mj_model.eq_objtype[equality] == import_engine().mjtObj.mjOBJ_SITE:
+        return [int(mj_model.site_bodyid[site]) for site in ends]
+    return ends
+
+
+def _add_joint_equality(
+    equalities: _Equalities, mj_model: Any, equality: int, names: list[str]
+) -> None:
+    """Add an equality of one joint, or of a joint and another: a line or another polynomial."""
+    follower = int(mj_model.eq_obj1id[equality])
+    leader = int(mj_model.eq_obj2id[equality])
+    constant, slope, *higher = mj_model.eq_data[equality][:5].tolist()
+    constant += float(mj_model.qpos0[mj_model.jnt_qposadr[follower]])
+    if leader < 0:
+        equalities.held_positions[names[follower]] = constant
+    elif any(higher):
+        cause = f"the polynomial of an equality of '{names[follower]}'"
+        equalities.couplings[cause] = [names[leader], names[follower]]
+    else:
+        offset = constant - slope * float(mj_model.qpos0[mj_model.jnt_qposadr[leader]])
+        equalities.followers[names[follower]] = names[leader], slope, offset
 
 
 def _compute_torques(

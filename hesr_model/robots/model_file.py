@@ -5,19 +5,19 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hesr_model.errors import RobotError
 from hesr_model.findings import Finding, Severity, caution
 from hesr_model.robots.description import RobotDescription
-from hesr_model.robots.mjcf import compile_robot, compute_urdf_torques
+from hesr_model.robots.mjcf import Compiled, compile_robot, compute_urdf_torques
 from hesr_model.robots.mjcf_forces import DAMPING, SPRINGS
 from hesr_model.robots.urdf import find_model_doubts, position_limits, read_urdf
 from hesr_model.support.arrays import Array
 from hesr_model.support.process import collect_errors
-from hesr_model.support.text import on_one_line, sanitise
+from hesr_model.support.text import join_few, on_one_line, sanitise
 
 _MAX_FINGER_RANGE = 0.1  # range of fingers [m]
 _FINGER_NAME = re.compile(r"finger|gripper|thumb|knuckle|jaw|(^|_)hand(_|$)", re.IGNORECASE)
@@ -40,7 +40,7 @@ class RobotModelFile:
 
     `rest_positions` are those of joints that do not move; `bodies_below` are the bodies between
     each joint and the base; `joints_above` are the joints between each body and the base; `bodies`
-    are those that joints carry; `loops` are pairs of bodies that close a chain, and its joints.
+    are those that joints carry; `loops` are joints without a torque of their own, by cause.
     `gravity` is in [m/s2]; `springs` are the parameters k and const of linear springs; `doubts` are
     those about joints, `link_doubts` those about bodies. `forces` are torques by force and joint
     that the torque of the robot leaves out, `unknown_forces` why they are not known, and `torques`
@@ -68,8 +68,7 @@ class RobotModelFile:
 
         The legs of a walking robot do not concern its arm.
         """
-        leaders = {name: leader for name, (leader, _, _) in self.followers.items()}
-        moving_names = set(joints) | {name for name, leader in leaders.items() if leader in joints}
+        moving_names = set(joints) | self.find_followers(joints)
         findings = [
             doubt
             for link, doubt in self.link_doubts.items()
@@ -83,7 +82,22 @@ class RobotModelFile:
                 concerned_names = {name}
             if doubt.check == "held-joint" or moving_names & concerned_names:
                 findings.append(doubt)
-        return [*findings, *self._doubt_forces(moving_names)]
+        return [*findings, *self._doubt_loops(moving_names), *self._doubt_forces(moving_names)]
+
+    def find_followers(self, joints: Collection[str]) -> set[str]:
+        """Return the joints that follow some of those given."""
+        return {name for name, (leader, _, _) in self.followers.items() if leader in joints}
+
+    def _doubt_loops(self, moving_names: Collection[str]) -> Iterator[Finding]:
+        """Yield a finding for each loop, whose joints rest while others move."""
+        for cause, loop_joints in self.loops.items():
+            if loop_joints.isdisjoint(moving_names):
+                yield Finding(
+                    check="loop",
+                    severity="advice",
+                    where=str(self.path),
+                    found=f"{cause}, so {join_few(sorted(loop_joints))} rest, outside the arm",
+                )
 
     def _doubt_forces(self, moving_names: Collection[str]) -> Iterator[Finding]:
         """Yield a finding for each force that the torques of some joints leave out."""
@@ -98,7 +112,7 @@ class RobotModelFile:
             if force == SPRINGS or not joints:
                 continue
             shares = {name: worths[name] / max(self.torques[name], _TINY) for name in joints}
-            worst = max(joints, key=lambda name: shares[name])
+            worst = max(shares, key=shares.__getitem__)
             yield Finding(
                 check="left-over",
                 severity=_judge_force(force, shares[worst]),
@@ -113,10 +127,10 @@ class RobotModelFile:
 
     def _select_names(self, root: str | None) -> list[str]:
         names = list(self.pin_model.names)[1:]
-        selected = (
-            names if root is None else [name for name in names if root in self.bodies_below[name]]
-        )
-        if not selected and root is not None:
+        if root is None:
+            return names
+        selected = [name for name in names if root in self.bodies_below[name]]
+        if not selected:
             raise RobotError(
                 f"{self.path}: 'root' is '{root}', and no body of that name carries a joint; it is "
                 "the last body or link before the first joint of the arm."
@@ -137,18 +151,42 @@ class RobotModelFile:
                 )
         except Exception:  # of many kinds: meshes or packages are missing, or names differ
             return None
-        return self.reduce_model(description, geometry) if geometry.ngeoms else None
+        if not geometry.ngeoms:
+            return None
+        return self.reduce_model(description, geometry)
 
     def reduce_model(self, description: RobotDescription, geometry: Any = None) -> Any:
         """Return the model, or its `geometry`, without the joints that neither move nor follow."""
         import pinocchio as pin  # slow to import
 
+        self._require_selection(description)
         pin_model = self.pin_model
-        path = self.path
-        known_names = self._select_names(description.root)
         joints = description.joints
-        locked = description.locked
-        for name in (*joints, *locked):
+        moving_names = set(joints) | self.find_followers(joints)
+        self._require_determined(joints, moving_names)
+        neutral = self._build_rest_state(description.locked)
+        fixed_numbers = [
+            k for k, name in enumerate(pin_model.names) if k and name not in moving_names
+        ]
+        if geometry is not None:
+            return pin.buildReducedModel(pin_model, geometry, fixed_numbers, neutral)[1]
+        if not fixed_numbers:
+            reduced_model = pin_model
+        else:
+            reduced_model = pin.buildReducedModel(pin_model, fixed_numbers, neutral)
+        moving_joints = zip(
+            list(reduced_model.joints)[1:], list(reduced_model.names)[1:], strict=True
+        )
+        for joint, name in moving_joints:
+            require_one_axis(name, joint.nv, self.path)
+        return reduced_model
+
+    def _require_selection(self, description: RobotDescription) -> None:
+        """Raise RobotError unless the joints of a description are those of the model."""
+        path = self.path
+        joints = description.joints
+        known_names = self._select_names(description.root)
+        for name in (*joints, *description.locked):
             if name not in known_names:
                 raise RobotError(f"{path}: has no joint '{name}'; it has {', '.join(known_names)}.")
             if name in self.followers:
@@ -156,7 +194,7 @@ class RobotModelFile:
                     f"{path}: joint '{name}' follows joint '{self.followers[name][0]}', whose "
                     "torque contains its own; leave it out of 'joints' and 'locked'."
                 )
-        shared_names = [name for name in joints if name in locked]
+        shared_names = [name for name in joints if name in description.locked]
         if shared_names:
             raise RobotError(
                 f"{path}: joint '{shared_names[0]}' is in both 'joints' and 'locked'; remove it "
@@ -167,37 +205,41 @@ class RobotModelFile:
                 f"{path}: the joints {', '.join(joints)} must be listed once each, "
                 f"in the order of the model, {', '.join(known_names)}."
             )
+
+    def _require_determined(self, joints: Sequence[str], moving_names: Collection[str]) -> None:
+        """Raise RobotError if joints that move, or their followers, belong to a loop."""
+        loop_joints = frozenset[str]().union(*self.loops.values())
+        for cause, loop in self.loops.items():
+            undetermined_names = sorted(loop.intersection(moving_names))
+            if not undetermined_names:
+                continue
+            arm = [
+                name
+                for name in joints
+                if loop_joints.isdisjoint({name, *self.find_followers([name])})
+            ]
+            remedy = "remove the equality"
+            if arm:
+                remedy = f"take only joints {', '.join(arm)}"
+            raise RobotError(
+                f"{self.path}: {cause}, so the torque of joint '{undetermined_names[0]}' is "
+                f"undetermined; {remedy}."
+            )
+
+    def _build_rest_state(self, locked: Mapping[str, float]) -> Array:
+        """Return Pinocchio's configuration with joints at rest, locked ones at their positions."""
+        import pinocchio as pin  # slow to import
+
+        pin_model = self.pin_model
         positions = {**self.rest_positions, **locked}
-        moving_names = set(joints)
-        neutral = pin.neutral(pin_model)
         for name, (leader, slope, offset) in self.followers.items():
             positions[name] = slope * positions.get(leader, 0.0) + offset
-            moving_names |= {name} if leader in joints else set()
+        neutral: Array = pin.neutral(pin_model)
         for name, value in positions.items():
             joint = pin_model.joints[pin_model.getJointId(name)]
-            require_one_axis(name, joint.nv, path)
+            require_one_axis(name, joint.nv, self.path)
             set_joint(joint, neutral, np.array(value))
-        for ends, loop_joints in self.loops.items():
-            movable_names = sorted(moving_names & loop_joints)
-            if movable_names:
-                raise RobotError(
-                    f"{path}: the bodies {ends} are tied to each other, which closes a chain over "
-                    f"joint '{movable_names[0]}', whose torque is then undetermined; remove the "
-                    "equality."
-                )
-        fixed_numbers = [
-            k for k, name in enumerate(pin_model.names) if k and name not in moving_names
-        ]
-        if geometry is not None:
-            return pin.buildReducedModel(pin_model, geometry, fixed_numbers, neutral)[1]
-        reduced_model = (
-            pin.buildReducedModel(pin_model, fixed_numbers, neutral) if fixed_numbers else pin_model
-        )
-        for joint, name in zip(
-            list(reduced_model.joints)[1:], list(reduced_model.names)[1:], strict=True
-        ):
-            require_one_axis(name, joint.nv, path)
-        return reduced_model
+        return neutral
 
     def follow(self, names: Sequence[str], leaders: Sequence[str]) -> tuple[Array, Array]:
         """Return G (names, leaders) and b (names,) of q = G q_leaders + b."""
@@ -212,15 +254,19 @@ class RobotModelFile:
 
 def _find_reason(messages: Sequence[str]) -> str:
     """Return the first error of urdfdom, which Pinocchio's own message does not contain."""
-    errors = [text for text in messages if text.startswith(_URDFDOM_ERROR)]
-    return sanitise(errors[0].removeprefix(_URDFDOM_ERROR).strip().rstrip(".")) if errors else ""
+    for text in messages:
+        if text.startswith(_URDFDOM_ERROR):
+            return sanitise(text.removeprefix(_URDFDOM_ERROR).strip().rstrip("."))
+    return ""
 
 
 def _judge_force(force: str, share: float) -> Severity:
     """Return how bad it is to leave out a force of some share of the torque."""
     if force == DAMPING or share < _MIN_FORCE_SHARE:
         return "advice"
-    return "error" if share > _MAX_FORCE_SHARE else "warning"
+    if share > _MAX_FORCE_SHARE:
+        return "error"
+    return "warning"
 
 
 def dynamics_engine() -> Any:
@@ -237,55 +283,93 @@ def dynamics_engine() -> Any:
 
 def load(path: Path) -> RobotModelFile:
     """Read a URDF, or an MJCF (``.xml``), and compare its torques with MuJoCo's."""
-    pin = dynamics_engine()
+    dynamics_engine()  # a missing library is the first thing to say
     if not path.is_file():
         raise RobotError(f"{path}: no such model file.")
-    compiled = compile_robot(path) if path.suffix.lower() == ".xml" else {}
+    compiled: Compiled = {}
+    if path.suffix.lower() == ".xml":
+        compiled = compile_robot(path)
     urdf = read_urdf(path, compiled.get("urdf") or path.read_bytes())
-    try:
-        with collect_errors() as messages:
-            pin_model = pin.buildModelFromXML(urdf.text)
-    except Exception as error:  # many kinds
-        reason = _find_reason(messages) or on_one_line(error)
-        raise RobotError(f"{path}: cannot be parsed as a URDF ({reason}).") from error
-    # Pinocchio cannot reduce a model with a body that is named as a joint, moving or fixed.
-    joint_names = {frame.name for frame in pin_model.frames if frame.type != pin.FrameType.BODY}
-    for frame in pin_model.frames:
-        if frame.type == pin.FrameType.BODY and frame.name in joint_names:
-            frame.name = f"{frame.name} (link)"
+    pin_model = _parse_urdf(path, urdf.text)
+    _rename_ambiguous_bodies(pin_model)
     names = set(pin_model.names)
     for name, armature in compiled.get("armature", {}).items():
         if name in names:
             pin_model.armature[pin_model.joints[pin_model.getJointId(name)].idx_v] = armature
     chains = {link: _trace_chain(link, urdf.parents) for link in urdf.parents}
+    reference_torques = compiled.get("check")
+    largest_torques: dict[str, float] = {}
+    if reference_torques is None:
+        reference_torques = compute_urdf_torques(urdf.text)
+    else:
+        largest_torques = _find_largest_torques(reference_torques)
     file = RobotModelFile(
         path=path,
         pin_model=pin_model,
         gravity=tuple(compiled.get("gravity", (0.0, 0.0, -9.81))),
         springs=compiled.get("springs", {}),
         rest_positions={
-            name: x for name, x in compiled.get("rest", {}).items() if name in names and x
+            name: position
+            for name, position in compiled.get("rest", {}).items()
+            if name in names and position
         },
         followers=_resolve_followers(path, urdf.followers, names),
         bodies_below={
-            joint: frozenset(chains[link][0]) - {link} for link, (_, joint) in urdf.parents.items()
+            joint: frozenset(chains[link].links) - {link}
+            for link, (_, joint) in urdf.parents.items()
         },
-        joints_above={link: frozenset(chain[1]) for link, chain in chains.items()},
+        joints_above={link: frozenset(chain.joints) for link, chain in chains.items()},
         bodies={joint: link for link, (_, joint) in urdf.parents.items()},
         link_doubts=urdf.doubts,
-        loops={
-            f"'{a}' and '{b}'": frozenset(set(chains[a][1]) ^ set(chains.get(b, ((), ()))[1]))
-            for a, b in compiled.get("loops", ())
-        },
+        loops=_find_loops(compiled, chains),
         doubts=tuple(find_model_doubts(path, pin_model)),
         forces=compiled.get("forces", {}),
         unknown_forces=compiled.get("unknown_forces", ""),
-        torques=_find_largest_torques(compiled["check"]) if compiled else {},
+        torques=largest_torques,
     )
-    reference_torques = compiled["check"] if compiled else compute_urdf_torques(urdf.text)
     if reference_torques is not None:
         _require_agreement(file, reference_torques)
     return file
+
+
+def _parse_urdf(path: Path, text: str) -> Any:
+    """Return Pinocchio's model of a URDF; RobotError with the reason of urdfdom."""
+    pin = dynamics_engine()
+    try:
+        with collect_errors() as messages:
+            return pin.buildModelFromXML(text)
+    except Exception as error:  # many kinds
+        reason = _find_reason(messages) or on_one_line(error)
+        raise RobotError(f"{path}: cannot be parsed as a URDF ({reason}).") from error
+
+
+def _rename_ambiguous_bodies(pin_model: Any) -> None:
+    """Rename bodies named as a joint, moving or fixed, with which Pinocchio reduces no model."""
+    body_kind = dynamics_engine().FrameType.BODY
+    joint_names = {frame.name for frame in pin_model.frames if frame.type != body_kind}
+    for frame in pin_model.frames:
+        if frame.type == body_kind and frame.name in joint_names:
+            frame.name = f"{frame.name} (link)"
+
+
+def _find_loops(compiled: Compiled, chains: Mapping[str, "_Chain"]) -> dict[str, frozenset[str]]:
+    """Return joints whose torque a constraint shares out, by cause.
+
+    Two bodies tied to each other close a loop over the joints between them: those above one of
+    them only.
+    """
+    loops = {
+        f"joints {join_few(joints)} are coupled by {coupling}": frozenset(joints)
+        for coupling, joints in compiled.get("couplings", {}).items()
+    }
+    base = _Chain([], [])
+    for first, second in compiled.get("loops", ()):
+        joints_above_first = set(chains.get(first, base).joints)
+        joints_above_second = set(chains.get(second, base).joints)
+        loops[f"the bodies '{first}' and '{second}' are tied to each other"] = frozenset(
+            joints_above_first ^ joints_above_second
+        )
+    return loops
 
 
 def _find_largest_torques(check: Mapping[str, Any]) -> dict[str, float]:
@@ -293,14 +377,21 @@ def _find_largest_torques(check: Mapping[str, Any]) -> dict[str, float]:
     return dict(zip(check["joints"], np.abs(torques).max(axis=0).tolist(), strict=True))
 
 
-def _trace_chain(link: str, parents: Mapping[str, tuple[str, str]]) -> tuple[list[str], list[str]]:
+class _Chain(NamedTuple):
+    """The links from a link to the base, and the joints between them."""
+
+    links: list[str]
+    joints: list[str]
+
+
+def _trace_chain(link: str, parents: Mapping[str, tuple[str, str]]) -> _Chain:
     links = [link]
     joints = list[str]()
     while links[-1] in parents and len(joints) < len(parents):
         parent, joint = parents[links[-1]]
         links.append(parent)
         joints.append(joint)
-    return links, joints
+    return _Chain(links, joints)
 
 
 def _resolve_followers(path: Path, followers: Followers, names: set[str]) -> Followers:
@@ -312,8 +403,12 @@ def _resolve_followers(path: Path, followers: Followers, names: set[str]) -> Fol
             visited.add(leader)
             next_leader, factor, shift = followers[leader]
             leader, slope, offset = next_leader, slope * factor, offset + slope * shift
-        if leader in visited or leader not in names:
-            cause = "which follows it" if leader in visited else "which does not move"
+        cause = ""
+        if leader in visited:
+            cause = "which follows it"
+        elif leader not in names:
+            cause = "which does not move"
+        if cause:
             raise RobotError(
                 f"{path}: joint '{name}' follows joint '{leader}', {cause}; correct its <mimic> or "
                 "equality."
@@ -373,13 +468,15 @@ def joint_frames(pin_model: Any, neutral: Array) -> Iterator[JointFrame]:
         data = joint.createData()
         joint.calc(data, neutral)
         subspace = np.asarray(data.S, dtype=float).ravel()
-        prismatic = bool(np.any(subspace[:3]))
+        translation_axis = subspace[:3]
+        rotation_axis = subspace[3:]
+        prismatic = bool(np.any(translation_axis))
         yield JointFrame(
             name=name,
             parent=int(pin_model.parents[k]) - 1,
             rotation=np.array(placement.rotation),
             translation=np.array(placement.translation),
-            axis=subspace[:3] if prismatic else subspace[3:],
+            axis=translation_axis if prismatic else rotation_axis,
             prismatic=prismatic,
         )
 
@@ -392,6 +489,7 @@ class ModelJoint:
     freedom: int  # 0 for joints that follow others
     slides: bool
     finger: bool = field(default=False, repr=False)
+    in_loop: bool = field(default=False, repr=False)  # without a torque of its own
     rest_position: float = field(default=0.0, repr=False)  # position while locked
     parent: str = field(default="", repr=False)  # name of the joint before it
 
@@ -400,24 +498,30 @@ def read_joints(path: Path) -> tuple[ModelJoint, ...]:
     """Return the moving joints from base to tip."""
     file = load(path)
     pin_model = file.pin_model
+    parents = list(pin_model.parents)
+    loop_joints = frozenset[str]().union(*file.loops.values())
     joints = []
-    for number, (name, joint) in enumerate(zip(pin_model.names, pin_model.joints, strict=True)):
-        lower, upper = position_limits(pin_model, joint) if number else (-np.inf, np.inf)
-        is_short = (
-            _slides(joint)
-            and upper - lower < _MAX_FINGER_RANGE
-            and number not in list(pin_model.parents)
-        )
+    for number, name in enumerate(pin_model.names):
+        if number == 0:
+            continue  # Pinocchio's "universe"
+        joint = pin_model.joints[number]
+        lower, upper = position_limits(pin_model, joint)
+        slides = _slides(joint)
+        is_short = slides and upper - lower < _MAX_FINGER_RANGE and number not in parents
+        freedom = joint.nv
+        if name in file.followers:
+            freedom = 0
         model_joint = ModelJoint(
             name=name,
-            freedom=0 if name in file.followers else joint.nv,
-            slides=_slides(joint),
+            freedom=freedom,
+            slides=slides,
             finger=is_short or bool(_FINGER_NAME.search(name)),
+            in_loop=not loop_joints.isdisjoint({name, *file.find_followers([name])}),
             rest_position=min(max(file.rest_positions.get(name, 0.0), lower), upper),
-            parent=pin_model.names[pin_model.parents[number]],
+            parent=pin_model.names[parents[number]],
         )
         joints.append(model_joint)
-    return tuple(joints[1:])
+    return tuple(joints)
 
 
 def _slides(joint: Any) -> bool:
@@ -426,42 +530,56 @@ def _slides(joint: Any) -> bool:
 
 
 def find_driven_joints(path: Path, names: Sequence[str] = ()) -> tuple[ModelJoint, ...]:
-    """Return the wanted joints, or all usable ones but fingers; RobotError without any."""
-    joints = {joint.name: joint for joint in read_joints(path)}
+    """Return the wanted joints, or all usable ones but fingers and those in loops.
+
+    Raises RobotError if there are none.
+    """
+    joints = read_joints(path)
+    if names:
+        return _select_joints(path, joints, names)
+    driven_joints = tuple(joint for joint in joints if joint.freedom == 1)
+    if not driven_joints:
+        raise RobotError(f"{path}: has no revolute or prismatic joint; at least one is needed.")
+    determined_joints = tuple(joint for joint in driven_joints if not joint.in_loop)
+    arm_joints = tuple(joint for joint in determined_joints if not joint.finger)
+    return arm_joints or determined_joints or driven_joints
+
+
+def _select_joints(
+    path: Path, joints: Sequence[ModelJoint], names: Sequence[str]
+) -> tuple[ModelJoint, ...]:
+    """Return the joints with some names, in the order of the model; RobotError if one has none."""
+    by_name = {joint.name: joint for joint in joints}
     for name in names:
-        if name not in joints:
-            raise RobotError(f"{path}: has no joint '{name}'; it has {', '.join(joints)}.")
-        if joints[name].freedom == 0:
+        if name not in by_name:
+            raise RobotError(f"{path}: has no joint '{name}'; it has {', '.join(by_name)}.")
+        if by_name[name].freedom == 0:
             raise RobotError(
                 f"{path}: joint '{name}' follows another (mimic); only driven joints can be used."
             )
-        require_one_axis(name, joints[name].freedom, path)
-    driven_joints = tuple(
-        j for j in joints.values() if (j.name in names if names else j.freedom == 1)
-    )
-    if not driven_joints:
-        raise RobotError(f"{path}: has no revolute or prismatic joint; at least one is needed.")
-    non_fingers = tuple(joint for joint in driven_joints if not joint.finger)
-    return non_fingers if non_fingers and not names else driven_joints
+        require_one_axis(name, by_name[name].freedom, path)
+    return tuple(joint for joint in joints if joint.name in names)
 
 
 def find_arm(path: Path) -> tuple[ModelJoint, ...]:
     """Return the driven joints from the base to the end of the longest chain without branches."""
     driven_joints = {joint.name: joint for joint in find_driven_joints(path)}
-    chains: dict[str, list[str]] = {}
+    chains: dict[str, list[str]] = {}  # driven joints from the base to each joint
+    parents: dict[str, str] = {}  # driven joint before each driven joint, "" for the base
     for joint in read_joints(path):
-        joints_above = chains.get(joint.parent, [])
-        chains[joint.name] = (
-            [*joints_above, joint.name] if joint.name in driven_joints else joints_above
-        )
-    parents = {name: chains[name][-2] if len(chains[name]) > 1 else "" for name in driven_joints}
+        chain = list(chains.get(joint.parent, []))
+        if joint.name in driven_joints:
+            parents[joint.name] = chain[-1] if chain else ""
+            chain.append(joint.name)
+        chains[joint.name] = chain
     branches = Counter(parents.values())
     lengths = {"": 0}
     for name, parent in parents.items():
-        lengths[name] = lengths[parent] + 1 if branches[parent] == 1 else 1
-    return tuple(
-        driven_joints[name] for name in chains[max(driven_joints, key=lambda name: lengths[name])]
-    )
+        lengths[name] = 1
+        if branches[parent] == 1:
+            lengths[name] += lengths[parent]
+    tip = max(driven_joints, key=lengths.__getitem__)
+    return tuple(driven_joints[name] for name in chains[tip])
 
 
 def find_rest_positions(

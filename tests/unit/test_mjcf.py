@@ -1,5 +1,6 @@
 """MJCF as MuJoCo compiles it: torques, references, trees, equalities and refusals."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from hesr_model.errors import RobotError
 from hesr_model.motions.limits import Limits, MotionLimits
 from hesr_model.robots.mjcf import import_engine
-from hesr_model.robots.robot import Robot, RobotDescription, to_description
+from hesr_model.robots.robot import Robot, RobotDescription, describe_model, to_description
 
 INERTIAL = '<inertial pos="0.2 0.01 0.02" mass="{}" diaginertia="0.02 0.03 0.04"/>'
 
@@ -170,12 +171,6 @@ def test_followers_by_an_equality_limit_their_leader(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("body", "more", "message"),
     [
-        (arm("a", "", *FOUR), EQUALITY.format(more=2), "joint 'a3' follows 'a2' by a polynomial"),
-        (
-            arm("a", "", *FOUR),
-            '<equality><connect body1="a_link3" body2="a_link1" anchor="0 0 0"/></equality>',
-            "bodies 'a_link3' and 'a_link1' are tied",
-        ),
         (
             arm("a", "", 'axis="0 1 0"').replace(
                 INERTIAL.format(1), '<geom type="mesh" mesh="link"/>'
@@ -191,6 +186,71 @@ def test_files_without_determined_torques_are_refused(
     with pytest.raises(RobotError, match=r"arm\.xml: ") as caught:
         Robot(mjcf(tmp_path, body, more))
     assert message in str(caught.value)
+
+
+LOOPS = {
+    "bodies": (
+        '<equality><connect body1="a_link3" body2="a_link1" anchor="0 0 0"/></equality>',
+        {"a2", "a3"},
+        "the bodies 'a_link3' and 'a_link1'",
+    ),
+    "base": (
+        '<equality><weld body1="a_link2"/></equality>',
+        {"a1", "a2"},
+        "the bodies 'a_link2' and 'world'",
+    ),
+    "polynomial": (
+        '<equality><joint joint1="a3" joint2="a2" polycoef="0 1 2 0 0"/></equality>',
+        {"a2", "a3"},
+        "the polynomial of an equality of 'a3'",
+    ),
+    "tendon of joints": (
+        '<tendon><fixed name="t"><joint joint="a2" coef="1"/><joint joint="a4" coef="1"/></fixed>'
+        '</tendon><equality><tendon tendon1="t"/></equality>',
+        {"a2", "a4"},
+        "an equality of tendon t",
+    ),
+    "tendon along sites": (
+        '<tendon><spatial name="t"><site site="low"/><site site="high"/></spatial></tendon>'
+        '<equality><tendon tendon1="t"/></equality>',
+        {"a2", "a3"},
+        "an equality of tendon t",
+    ),
+}
+
+
+def with_sites(body: str) -> str:
+    for number, name in ((1, "low"), (3, "high")):
+        place = f'<body name="a_link{number}"'
+        assert place in body
+        end = body.index(">", body.index(place)) + 1
+        body = f'{body[:end]}<site name="{name}" pos="0.1 0 0.1"/>{body[end:]}'
+    return body
+
+
+@pytest.mark.parametrize("kind", LOOPS)
+def test_joints_in_a_loop_rest_unless_they_are_asked_for(kind: str, tmp_path: Path) -> None:
+    more, looped, cause = LOOPS[kind]
+    path = mjcf(tmp_path, with_sites(arm("a", "", *FOUR)), more)
+    others = [name for name in ("a1", "a2", "a3", "a4") if name not in looped]
+    robot = Robot(path)
+    assert list(robot.joints) == others
+    (doubt,) = (doubt for doubt in robot.doubts if doubt.check == "loop")
+    assert doubt.severity == "advice"
+    assert cause in doubt.found
+    torques(robot, path)
+    with pytest.raises(RobotError, match="undetermined") as caught:
+        Robot(describe_model(path, ["a1", "a2", "a3", "a4"]))
+    (named,) = re.findall(r"take only joints (.*)\.", str(caught.value))
+    assert named.split(", ") == others
+    assert Robot(describe_model(path, named.split(", "))).joints == robot.joints
+
+
+def test_an_arm_that_is_a_loop_is_refused(tmp_path: Path) -> None:
+    body = arm("a", "", *FOUR[:2])
+    path = mjcf(tmp_path, body, '<equality><weld body1="a_link2"/></equality>')
+    with pytest.raises(RobotError, match=r"'a1' is undetermined; remove the equality\."):
+        Robot(path)
 
 
 def test_appearance_may_be_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
