@@ -14,6 +14,7 @@ from hesr_model.findings import Finding, Severity, caution
 from hesr_model.robots.description import RobotDescription
 from hesr_model.robots.mjcf import Compiled, compile_robot, compute_urdf_torques
 from hesr_model.robots.mjcf_forces import DAMPING, SPRINGS
+from hesr_model.robots.model_units import doubt_units
 from hesr_model.robots.urdf import find_model_doubts, position_limits, read_urdf
 from hesr_model.support.arrays import Array
 from hesr_model.support.process import collect_errors
@@ -42,7 +43,8 @@ class RobotModelFile:
     each joint and the base; `joints_above` are the joints between each body and the base; `bodies`
     are those that joints carry; `loops` are joints without a torque of their own, by cause.
     `gravity` is in [m/s2]; `springs` are the parameters k and const of linear springs; `doubts` are
-    those about joints, `link_doubts` those about bodies. `forces` are torques by force and joint
+    those about joints, `link_doubts` those about bodies, `unit_doubts` that about
+    the whole file. `forces` are torques by force and joint
     that the torque of the robot leaves out, `unknown_forces` why they are not known, and `torques`
     the largest torque by joint at the same states [N.m or N].
     """
@@ -59,6 +61,7 @@ class RobotModelFile:
     link_doubts: Mapping[str, Finding]
     loops: Mapping[str, frozenset[str]]
     doubts: tuple[Finding, ...]
+    unit_doubts: tuple[Finding, ...]
     forces: Mapping[str, Mapping[str, float]]
     unknown_forces: str
     torques: Mapping[str, float]
@@ -82,7 +85,12 @@ class RobotModelFile:
                 concerned_names = {name}
             if doubt.check == "held-joint" or moving_names & concerned_names:
                 findings.append(doubt)
-        return [*findings, *self._doubt_loops(moving_names), *self._doubt_forces(moving_names)]
+        return [
+            *self.unit_doubts,
+            *findings,
+            *self._doubt_loops(moving_names),
+            *self._doubt_forces(moving_names),
+        ]
 
     def find_followers(self, joints: Collection[str]) -> set[str]:
         """Return the joints that follow some of those given."""
@@ -323,6 +331,7 @@ def load(path: Path) -> RobotModelFile:
         link_doubts=urdf.doubts,
         loops=_find_loops(compiled, chains),
         doubts=tuple(find_model_doubts(path, pin_model)),
+        unit_doubts=tuple(doubt_units(path, pin_model)),
         forces=compiled.get("forces", {}),
         unknown_forces=compiled.get("unknown_forces", ""),
         torques=largest_torques,
