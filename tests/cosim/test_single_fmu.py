@@ -16,6 +16,7 @@ from small_study import Hesr, hesr_here
 import hesr
 from fmu_src.export.toolchain import TARGETS, build
 from fmu_src.run.fmu import FmuInstance
+from fmu_src.run.instance import _Fmi3
 from fmu_src.run.trust import remember
 from hesr_model.errors import ConfigError, SimulationError
 
@@ -96,6 +97,23 @@ def test_values_of_every_type_are_read_in_this_process(typed_fmu: Path) -> None:
         ):
             references = typed.variables.references([name], kind)
             assert typed._instance.get(kind, references) == [value]
+
+
+@pytest.mark.parametrize("text", ["true", "false"])
+def test_the_words_of_a_boolean_are_its_values(text: str, typed_fmu: Path) -> None:
+    found = hesr.simulate(typed_fmu, stop=0.2, step=0.1, set=[f'b="{text}"'])
+    assert found.signals["bo"][-1] == (text == "true")
+
+
+@pytest.mark.parametrize(("stop", "has_stop"), [(None, False), (2.0, True)])
+def test_an_experiment_of_fmi_3_has_no_tolerance(stop: float | None, has_stop: bool) -> None:
+    """A tolerance of 0 would be one that no solver can keep."""
+    calls: list[tuple[Any, ...]] = []
+    _Fmi3().enter(lambda *arguments: calls.append(arguments), 0.5, stop)
+    ((name, *experiment),) = calls
+    assert name == "fmi3EnterInitializationMode"
+    values = [getattr(value, "value", value) for value in experiment]
+    assert values == [False, 0.0, 0.5, has_stop, stop or 0.0]
 
 
 def test_times_are_those_of_the_file(lag_fmu: Path, tmp_path: Path) -> None:
