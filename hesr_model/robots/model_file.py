@@ -43,8 +43,8 @@ class RobotModelFile:
     each joint and the base; `joints_above` are the joints between each body and the base; `bodies`
     are those that joints carry; `loops` are joints without a torque of their own, by cause.
     `gravity` is in [m/s2]; `springs` are the parameters k and const of linear springs; `doubts` are
-    those about joints, `link_doubts` those about bodies, `unit_doubts` that about
-    the whole file. `forces` are torques by force and joint
+    those about joints, `link_doubts` those about bodies, `file_doubts` those
+    about the whole file. `forces` are torques by force and joint
     that the torque of the robot leaves out, `unknown_forces` why they are not known, and `torques`
     the largest torque by joint at the same states [N.m or N].
     """
@@ -61,7 +61,7 @@ class RobotModelFile:
     link_doubts: Mapping[str, Finding]
     loops: Mapping[str, frozenset[str]]
     doubts: tuple[Finding, ...]
-    unit_doubts: tuple[Finding, ...]
+    file_doubts: tuple[Finding, ...]
     forces: Mapping[str, Mapping[str, float]]
     unknown_forces: str
     torques: Mapping[str, float]
@@ -86,7 +86,7 @@ class RobotModelFile:
             if doubt.check == "held-joint" or moving_names & concerned_names:
                 findings.append(doubt)
         return [
-            *self.unit_doubts,
+            *self.file_doubts,
             *findings,
             *self._doubt_loops(moving_names),
             *self._doubt_forces(moving_names),
@@ -331,7 +331,7 @@ def load(path: Path) -> RobotModelFile:
         link_doubts=urdf.doubts,
         loops=_find_loops(compiled, chains),
         doubts=tuple(find_model_doubts(path, pin_model)),
-        unit_doubts=tuple(doubt_units(path, pin_model)),
+        file_doubts=(*urdf.left_over, *doubt_units(path, pin_model)),
         forces=compiled.get("forces", {}),
         unknown_forces=compiled.get("unknown_forces", ""),
         torques=largest_torques,

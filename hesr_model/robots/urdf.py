@@ -13,6 +13,7 @@ import numpy as np
 from hesr_model.errors import RobotError
 from hesr_model.findings import Finding, build_joint_finding, caution
 from hesr_model.support.arrays import Array, Mask
+from hesr_model.support.ledger import Ledger
 from hesr_model.support.xml_files import parse_xml
 
 UNLIMITED = 1e9  # position limit of a joint without one, which Pinocchio's URDF parser would refuse
@@ -23,6 +24,51 @@ _NUMBERS = {
     "axis": {"xyz": 3},
     "limit": dict.fromkeys(("lower", "upper", "effort", "velocity"), 1),
     "mimic": {"multiplier": 1, "offset": 1},
+}
+_USED_NAMES = {
+    "robot": ("name", "link", "joint"),
+    "link": ("name", "inertial"),
+    "inertial": ("origin", "mass", "inertia"),
+    "joint": ("name", "type", "origin", "parent", "child", "axis", "limit", "mimic"),
+    "parent": ("link",),
+    "child": ("link",),
+    "mimic": ("joint", "multiplier", "offset"),
+    "limit": ("lower", "upper", "effort", "velocity"),
+    **{kind: tuple(_NUMBERS[kind]) for kind in ("mass", "inertia", "origin", "axis")},
+}
+_IRRELEVANT_NAMES = {
+    "robot": {
+        "material": "a colour",
+        "version": "of the format",
+        "gazebo": "for a simulator",
+        "transmission": "for a controller; gears of HESR are in robot files",
+        "sensor": "measures, without a mass of its own",
+        "ros2_control": "for a controller",
+        "group": "for a planner",
+        "disable_collisions": "for a planner",
+    },
+    "link": {
+        "visual": "appearance",
+        "collision": "shape of contacts",
+        "material": "a colour",
+        "sensor": "measures, without a mass of its own",
+        "contact": "friction and stiffness of contacts",
+        "type": "of old files",
+        "self_collision_checking": "for a planner",
+        "self_filter": "for a planner",
+        "gravity": "of a body in a simulator",
+        "kinematic": "of a body in a simulator",
+    },
+    "joint": {
+        "dynamics": "friction, which the laws of logs describe",
+        "safety_controller": "limits of a controller within those of the joint",
+        "calibration": "of the zero by a controller",
+        "dont_collapse": "for a converter",
+    },
+    "limit": {
+        "acceleration": "for a planner",
+        "jerk": "for a planner",
+    },
 }
 _MOVING_TYPES = ("revolute", "continuous", "prismatic", "planar")
 _ROUNDING_SLACK = 1e-6  # relative violation of the triangle inequality by rounded inertias
@@ -36,6 +82,7 @@ class Urdf:
     followers: dict[str, tuple[str, float, float]]
     parents: dict[str, tuple[str, str]]  # parent link and joint of each link
     doubts: dict[str, Finding]
+    left_over: tuple[Finding, ...]  # about names that nothing reads
 
 
 _XACRO = ("/xacro}", "{xacro}")  # ends of the namespace of its elements
@@ -50,6 +97,10 @@ def read_urdf(path: Path, text: str | bytes) -> Urdf:
     tags = [element.tag for element in root.iter() if isinstance(element.tag, str)]
     if any(name in tag for tag in tags for name in _XACRO):
         raise RobotError(f"{path}: is a xacro template; expand it first: xacro FILE > robot.urdf.")
+    ledger = Ledger(str(path), "part")
+    # Tools put elements of their own anywhere, under names that URDF has elsewhere.
+    ledger.compare_elements(root, _USED_NAMES, _IRRELEVANT_NAMES, finds_homes=False)
+    ledger.refuse_misspelt(RobotError)
     plain_root = Element("robot", name=root.get("name", "robot"))
     followers = {}
     parents = {}
@@ -78,7 +129,13 @@ def read_urdf(path: Path, text: str | bytes) -> Urdf:
             offset = mimic.get("offset", "0")
             followers[name] = mimic.get("joint", ""), float(factor), float(offset)
     plain_text = ElementTree.tostring(plain_root, encoding="unicode")
-    return Urdf(text=plain_text, followers=followers, parents=parents, doubts=findings)
+    return Urdf(
+        text=plain_text,
+        followers=followers,
+        parents=parents,
+        doubts=findings,
+        left_over=tuple(ledger.findings()),
+    )
 
 
 def _require_numbers(path: Path, owner: Element, parent: Element) -> None:

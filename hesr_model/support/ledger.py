@@ -74,14 +74,17 @@ class Ledger:
         homes: Names | None = None,
         *,
         may_repeat: bool = False,
+        irrelevant: Iterable[str] = (),
     ) -> None:
         """Record the names at a place that are not known; `homes` are known names elsewhere.
 
-        Unless names may repeat, one that is given already cannot be the one that was meant.
+        Unless names may repeat, one that is given already cannot be the one that was meant; nor can
+        one that is `irrelevant`.
         """
         given = dict.fromkeys(names)
-        known_names = dict.fromkeys(known)
-        missing = [name for name in known_names if may_repeat or name not in given]
+        used_names = dict.fromkeys(known)
+        missing = [name for name in used_names if may_repeat or name not in given]
+        known_names = {*used_names, *irrelevant}
         for name in given:
             if name in known_names:
                 continue
@@ -91,9 +94,13 @@ class Ledger:
             meant = (*find_close_names(name, missing), *exact)[:_MAX_SUGGESTIONS]
             self.left_over.append(LeftOver(place=place, name=name, meant=meant))
 
-    def compare_elements(self, root: Element, used: Names, irrelevant: Reasons) -> None:
-        """Record unknown attributes and elements of an XML file, by local names."""
-        names = {kind: [*used[kind], *irrelevant.get(kind, ())] for kind in used}
+    def compare_elements(
+        self, root: Element, used: Names, irrelevant: Reasons, *, finds_homes: bool = True
+    ) -> None:
+        """Record unknown attributes and elements of an XML file, by local names.
+
+        With `finds_homes` a name that belongs to another element was meant for that one.
+        """
         stack = [root]
         while stack:
             element = stack.pop()
@@ -102,10 +109,15 @@ class Ledger:
             children = {
                 child: get_local_name(child) for child in element if isinstance(child.tag, str)
             }
-            homes = {other: used[other] for other in used if other != kind}
+            homes: dict[str, Iterable[str]] = {}
+            if finds_homes:
+                homes = {other: used[other] for other in used if other != kind}
             place = f"<{kind}>"
-            self.compare(place, attributes, names[kind], homes)
-            self.compare(place, children.values(), names[kind], homes, may_repeat=True)
+            reasons = irrelevant.get(kind, {})
+            self.compare(place, attributes, used[kind], homes, irrelevant=reasons)
+            self.compare(
+                place, children.values(), used[kind], homes, may_repeat=True, irrelevant=reasons
+            )
             stack += [child for child, name in children.items() if name in used]
 
     def compare_data(self, data: Any, known: Any, irrelevant: Mapping[str, str]) -> None:
@@ -121,6 +133,11 @@ class Ledger:
 
     def require_nothing_meant(self, error: type[HesrError] = ConfigError) -> None:
         """Raise `error` for a name that was meant as another one; log the others as a warning."""
+        self.refuse_misspelt(error)
+        log_findings(self.findings())
+
+    def refuse_misspelt(self, error: type[HesrError] = ConfigError) -> None:
+        """Raise `error` for the first name that was meant as another one."""
         for item in self.left_over:
             if item.meant:
                 place = f" of {item.place}" if item.place else ""
@@ -131,22 +148,21 @@ class Ledger:
                     where=self._where,
                     key=join_key(item.place, item.name),
                 )
-        log_findings(self.findings())
 
     def findings(self) -> list[Finding]:
         """Return one warning that names what was left over, if anything was."""
         if not self.left_over:
             return []
-        count = count_noun(len(self.left_over), self._noun)
-        names = join_few(
+        names = dict.fromkeys(
             f"{quote(item.name)} of {item.place}" if item.place else quote(item.name)
             for item in self.left_over
         )
+        count = count_noun(len(names), self._noun)
         return [
             caution(
                 check="left-over",
                 where=self._where,
-                found=f"{count} not used: {names}",
+                found=f"{count} not used: {join_few(names)}",
                 remedy="remove what is not needed, or correct its name",
             )
         ]

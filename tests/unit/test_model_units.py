@@ -55,7 +55,7 @@ def scale(path: Path, length: float, mass: float, inertia: float) -> Path:
 
 @pytest.mark.parametrize("path", MODELS, ids=lambda path: path.stem)
 def test_robots_are_not_doubted(path: Path) -> None:
-    assert load(path).unit_doubts == ()
+    assert load(path).file_doubts == ()
 
 
 @pytest.mark.parametrize("units", UNITS)
@@ -65,19 +65,19 @@ def test_units_are_named_and_a_converted_file_is_not_doubted(units: str, tmp_pat
     assert doubt.severity == "warning"
     assert doubt.remedy.endswith(f" {units}")
     converted = scale(path, *(1.0 / factor for factor in UNITS[units]))
-    assert load(converted).unit_doubts == ()
+    assert load(converted).file_doubts == ()
 
 
 def test_sizes_without_an_explanation_have_no_units(tmp_path: Path) -> None:
     path = scale(arm(tmp_path), 1.0, 1e-6, 1e-6)
-    (doubt,) = load(path).unit_doubts
+    (doubt,) = load(path).file_doubts
     assert doubt.remedy == "check the units of lengths, masses and inertias"
 
 
 @pytest.mark.parametrize("joints", [1, 2])
 def test_a_pendulum_may_have_any_size(joints: int, tmp_path: Path) -> None:
     path = scale(arm(tmp_path, joints=joints), 1.0, 1e4, 1e4)
-    assert load(path).unit_doubts == ()
+    assert load(path).file_doubts == ()
 
 
 def test_the_size_is_that_of_the_file(tmp_path: Path) -> None:
