@@ -15,7 +15,9 @@ from hesr_model.support.arrays import Array, Mask
 SPRINGS = "stiffness of <joint>"
 """Springs that terms of the robot file can describe."""
 DAMPING = "damping of <joint>"
-"""Friction, which the laws of the logs describe."""
+ACTUATOR_DAMPING = "damping of <actuator>"
+FRICTION = (DAMPING, ACTUATOR_DAMPING)
+"""Forces that the friction laws of the logs describe."""
 OTHERS = "another passive force"
 _ARRAYS: Mapping[str, tuple[str, ...]] = {
     "gravcomp of <body>": ("body_gravcomp",),
@@ -25,7 +27,7 @@ _ARRAYS: Mapping[str, tuple[str, ...]] = {
     "stiffness of <tendon>": ("tendon_stiffness", "tendon_stiffnesspoly"),
     "damping of <tendon>": ("tendon_damping", "tendon_dampingpoly"),
     "armature of <tendon>": ("tendon_armature",),
-    "damping of <actuator>": ("actuator_damping", "actuator_dampingpoly"),
+    ACTUATOR_DAMPING: ("actuator_damping", "actuator_dampingpoly"),
     "elasticity of <flex>": (
         "flex_stiffness",
         "flex_damping",

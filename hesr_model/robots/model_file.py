@@ -13,7 +13,7 @@ from hesr_model.errors import RobotError
 from hesr_model.findings import Finding, Severity, caution
 from hesr_model.robots.description import RobotDescription
 from hesr_model.robots.mjcf import Compiled, compile_robot, compute_urdf_torques
-from hesr_model.robots.mjcf_forces import DAMPING, SPRINGS
+from hesr_model.robots.mjcf_forces import FRICTION, SPRINGS
 from hesr_model.robots.model_units import doubt_units
 from hesr_model.robots.urdf import find_model_doubts, position_limits, read_urdf
 from hesr_model.support.arrays import Array
@@ -30,7 +30,7 @@ _MAX_FORCE_SHARE = 0.05  # of the torque; a force above it is an error
 _MIN_FORCE_SHARE = 0.001  # of the torque; a force below it is advice
 _TINY = 1e-300  # torque of a joint without any
 _FORCE_REMEDY = "remove it from the file if the robot does not have it"
-_FORCE_REMEDIES = {DAMPING: "the friction laws of its logs describe it"}
+_FRICTION_REMEDY = "the friction laws of its logs describe it"
 _URDFDOM_ERROR = "Error:"  # begins a message of urdfdom
 _LINK_CHECKS = ("massless-link", "rounded-inertia")  # which concern all joints below a link
 
@@ -130,7 +130,7 @@ class RobotModelFile:
                     f"its torque leaves out {force}, worth up to {worths[worst]:.3g} N.m (N if it "
                     f"slides) of {self.torques[worst]:.3g} on '{worst}'"
                 ),
-                remedy=_FORCE_REMEDIES.get(force, _FORCE_REMEDY),
+                remedy=_FRICTION_REMEDY if force in FRICTION else _FORCE_REMEDY,
             )
 
     def _select_names(self, root: str | None) -> list[str]:
@@ -270,7 +270,7 @@ def _find_reason(messages: Sequence[str]) -> str:
 
 def _judge_force(force: str, share: float) -> Severity:
     """Return how bad it is to leave out a force of some share of the torque."""
-    if force == DAMPING or share < _MIN_FORCE_SHARE:
+    if force in FRICTION or share < _MIN_FORCE_SHARE:
         return "advice"
     if share > _MAX_FORCE_SHARE:
         return "error"

@@ -155,7 +155,7 @@ def test_a_force_is_named_with_its_torque(text: str, force: str, tmp_path: Path)
     assert finding.joints == tuple(joint for joint, w in zip("ab", worth, strict=True) if w)
     torque = np.abs(compute_torques(mjcf())).max(axis=0)
     expected = "error" if (worth / torque).max() > 0.05 else "warning"
-    assert finding.severity == ("advice" if force == "damping of <joint>" else expected)
+    assert finding.severity == ("advice" if force in mjcf_forces.FRICTION else expected)
 
 
 @pytest.mark.parametrize("text", ['gear="3"', 'gear="3" armature="0.1"'])
