@@ -1,6 +1,6 @@
 """Memory of a component: relaxations and stops, each in sampled, continuous and settled form."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from numbers import Real
 from typing import Literal, Self, TypeAlias
@@ -171,3 +171,12 @@ class Stop(MemoryElement):
 
 
 Element: TypeAlias = Relaxation | Stop
+
+
+def find_read_symbols(memory: Iterable[Element]) -> set[sympy.Symbol]:
+    """Return the symbols that the parts of some elements read."""
+    symbols: set[sympy.Symbol] = set()
+    for element in memory:
+        for part in element.parts:
+            symbols |= part.free_symbols
+    return symbols

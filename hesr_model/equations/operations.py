@@ -1,16 +1,16 @@
 """Equations as operations on registers, run by `rows.c`; uniform values are computed once."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import sympy
 from numpy.typing import NDArray
 
-from hesr_model.equations.memory import DT, Element, Relaxation, Stop
+from hesr_model.equations.memory import DT, Element, Relaxation, Stop, find_read_symbols
 from hesr_model.errors import ArtifactError
 
 NAMES = (
@@ -45,6 +45,14 @@ class Node:
     dependence: Dependence
 
 
+class _Fraction(NamedTuple):
+    """Product as a quotient of products of nodes."""
+
+    numerator: list[int]
+    denominator: list[int]
+    is_negative: bool
+
+
 class Graph:
     """Nodes of expressions, each after its operands; `inputs` differ between rows."""
 
@@ -73,7 +81,7 @@ class Graph:
     def _move_group(self, group: Sequence[Element], first: int) -> None:
         leader = group[0]
         states = [element.state for element in group]
-        reads_itself = leader.state in sympy.Tuple(*leader.parts).free_symbols
+        reads_itself = leader.state in find_read_symbols([leader])
         if reads_itself:
             self._index_by_expression[leader.state] = self._intern_node(
                 "CARRIED", (), first, Dependence.ROWS
@@ -138,45 +146,57 @@ class Graph:
         return total
 
     def _add_product(self, expression: sympy.Mul) -> int:
+        fraction = self._split_product(expression)
+        numerator = list(fraction.numerator)
+        unit_node = self._add_literal(1.0)
+        # Divide once by uniform values: products are five times as fast.
+        uniform_nodes = [
+            node
+            for node in fraction.denominator
+            if self.nodes[node].dependence <= Dependence.NUMBERS
+        ]
+        varying_nodes = [node for node in fraction.denominator if node not in uniform_nodes]
+        if uniform_nodes:
+            divisor = self._chain_operation("MULTIPLY", uniform_nodes)
+            numerator.append(self._add_operation("DIVIDE", unit_node, divisor))
+        product = unit_node
+        if numerator:
+            product = self._chain_operation("MULTIPLY", numerator)
+        if varying_nodes:
+            divisor = self._chain_operation("MULTIPLY", varying_nodes)
+            product = self._add_operation("DIVIDE", product, divisor)
+        if fraction.is_negative:
+            return self._add_operation("NEGATE", product)
+        return product
+
+    def _split_product(self, expression: sympy.Mul) -> "_Fraction":
+        """Return the factors of a product as nodes, those with negative powers inverted."""
         numerator = []
         denominator = []
         is_negative = False
-        for factor in expression.args:
+        for signed_factor in expression.args:
+            factor = signed_factor
             if factor.is_Rational and factor < 0:
-                is_negative, factor = not is_negative, -factor
+                is_negative = not is_negative
+                factor = -factor
             if factor.is_Rational:
-                numerator += [] if factor.p == 1 else [self._add_literal(float(factor.p))]
-                denominator += [] if factor.q == 1 else [self._add_literal(float(factor.q))]
+                if factor.p != 1:
+                    numerator.append(self._add_literal(float(factor.p)))
+                if factor.q != 1:
+                    denominator.append(self._add_literal(float(factor.q)))
             elif factor.is_Pow and factor.exp.is_number and factor.exp < 0:
                 denominator.append(self.find_node(1 / factor))
             else:
                 numerator.append(self.find_node(factor))
-        unit_node = self._add_literal(1.0)
-        # Divide once by uniform values: products are five times as fast.
-        uniform_nodes = [
-            node for node in denominator if self.nodes[node].dependence <= Dependence.NUMBERS
-        ]
-        varying_nodes = [node for node in denominator if node not in uniform_nodes]
-        if uniform_nodes:
-            numerator.append(
-                self._add_operation(
-                    "DIVIDE", unit_node, self._chain_operation("MULTIPLY", uniform_nodes)
-                )
-            )
-        product = self._chain_operation("MULTIPLY", numerator) if numerator else unit_node
-        if varying_nodes:
-            product = self._add_operation(
-                "DIVIDE", product, self._chain_operation("MULTIPLY", varying_nodes)
-            )
-        return self._add_operation("NEGATE", product) if is_negative else product
+        return _Fraction(numerator, denominator, is_negative)
 
     def _add_power(self, expression: sympy.Pow) -> int:
         if expression.base is sympy.E:
             return self._add_operation("EXP", self.find_node(expression.exp))
         if expression.exp.is_Rational and expression.exp < 0:
-            return self._add_operation(
-                "DIVIDE", self._add_literal(1.0), self.find_node(expression.base**-expression.exp)
-            )
+            unit_node = self._add_literal(1.0)
+            divisor = self.find_node(expression.base**-expression.exp)
+            return self._add_operation("DIVIDE", unit_node, divisor)
         base = self.find_node(expression.base)
         if expression.exp == sympy.Rational(1, 2):
             return self._add_operation("ROOT", base)
@@ -201,20 +221,19 @@ class Graph:
 
     def _add_operation(self, name: str, *operands: int) -> int:
         dependences = {self.nodes[node].dependence for node in operands}
-        is_mixed = {Dependence.NUMBERS, Dependence.INPUTS} <= dependences
-        dependence = Dependence.ROWS if is_mixed else max(*dependences, Dependence.NUMBERS)
+        dependence = max(*dependences, Dependence.NUMBERS)
+        if {Dependence.NUMBERS, Dependence.INPUTS} <= dependences:
+            dependence = Dependence.ROWS
         return self._intern_node(name, operands, None, dependence)
 
     def _intern_node(
         self, name: str, operands: tuple[int, ...], detail: Any, dependence: Dependence
     ) -> int:
-        # Literals are compared as text because 0.0 == -0.0.
-        key = (
-            name,
-            operands,
-            repr(detail) if dependence is Dependence.LITERAL else detail,
-            dependence,
-        )
+        compared_detail = detail
+        if dependence is Dependence.LITERAL:
+            # Literals are compared as text because 0.0 == -0.0.
+            compared_detail = repr(detail)
+        key = (name, operands, compared_detail, dependence)
         if key not in self._index_by_key:
             self._index_by_key[key] = len(self.nodes)
             self.nodes.append(Node(name, operands, detail, dependence))
@@ -250,18 +269,19 @@ def _group_moves(memory: Sequence[Element]) -> Iterator[tuple[int, int]]:
     first = 0
     while first < len(memory):
         end = first + 1
-        states = {memory[first].state}
         max_end = min(first + STOPS, len(memory))
-        while end < max_end and all(isinstance(memory[k], Stop) for k in (first, end)):
-            states.add(memory[end].state)
-            read_parts = sympy.Tuple(
-                *(part for element in memory[first : end + 1] for part in element.parts)
-            )
-            if states & read_parts.free_symbols:
-                break
+        while end < max_end and _can_move_together(memory[first : end + 1]):
             end += 1
         yield first, end
         first = end
+
+
+def _can_move_together(group: Sequence[Element]) -> bool:
+    """Return whether all elements are stops, and none reads the state of another."""
+    if not all(isinstance(element, Stop) for element in group):
+        return False
+    states = {element.state for element in group}
+    return not states & find_read_symbols(group)
 
 
 def find_fixed_nodes(graph: Graph, results: Sequence[int]) -> list[int]:
@@ -281,9 +301,11 @@ def _collect_reachable_nodes(
     waiting = list(results)
     while waiting:
         k = waiting.pop()
-        if k not in reachable:
-            reachable.add(k)
-            waiting += () if k in ends else nodes[k].operands
+        if k in reachable:
+            continue
+        reachable.add(k)
+        if k not in ends:
+            waiting += nodes[k].operands
     return reachable
 
 
@@ -292,50 +314,69 @@ def build_program(graph: Graph, results: Sequence[int], known_nodes: Sequence[in
     nodes = graph.nodes
     order = _order_nodes(nodes, results, set(known_nodes))
     input_numbers = {k: len(graph.inputs) + i for i, k in enumerate(known_nodes)}
-    input_numbers |= {
-        k: nodes[k].detail
-        for k in order
-        if nodes[k].dependence is Dependence.INPUTS and not nodes[k].operation
-    }
-    inputs = [k for k in order if k in input_numbers]
-    constant_nodes = [k for k in order if not nodes[k].operation and k not in input_numbers]
-    uniform_nodes = [
-        k for k in order if nodes[k].operation and nodes[k].dependence <= Dependence.NUMBERS
-    ]
+    for k in order:
+        if nodes[k].dependence is Dependence.INPUTS and not nodes[k].operation:
+            input_numbers[k] = nodes[k].detail
+    groups = _group_nodes(nodes, order, input_numbers)
     # `dt` always comes first: states move by it.
-    places = {k: 1 + i for i, k in enumerate((*inputs, *constant_nodes, *uniform_nodes))}
-    row_nodes = [k for k in order if k not in places]
-    registers = _allocate(nodes, row_nodes, set(results), places, 1 + len(places))
-    constants = [
-        nodes[k].detail if nodes[k].dependence is Dependence.LITERAL else 0.0
-        for k in constant_nodes
-    ]
-    numbers = [
-        (i, nodes[k].detail)
-        for i, k in enumerate(constant_nodes)
-        if nodes[k].dependence is Dependence.NUMBERS
-    ]
-    operations = [_encode_operation(nodes, k, places) for k in (*uniform_nodes, *row_nodes)]
+    fixed_nodes = (*groups.inputs, *groups.constants, *groups.uniform)
+    places = {k: 1 + i for i, k in enumerate(fixed_nodes)}
+    registers = _allocate(nodes, groups.rows, set(results), places, 1 + len(places))
+    constants = np.zeros(len(groups.constants))
+    numbers = []
+    for i, k in enumerate(groups.constants):
+        if nodes[k].dependence is Dependence.LITERAL:
+            constants[i] = nodes[k].detail
+        else:
+            numbers.append((i, nodes[k].detail))
+    operations = [_encode_operation(nodes, k, places) for k in (*groups.uniform, *groups.rows)]
     return Program(
-        inputs=(0, *(input_numbers[k] for k in inputs)),
-        constants=np.array(constants, dtype=np.float64),
+        inputs=(0, *(input_numbers[k] for k in groups.inputs)),
+        constants=constants,
         numbers=np.array(numbers, dtype=np.int64).reshape(-1, 2).T,
         operations=np.array(operations, dtype=np.int32).reshape(-1, 5),
-        uniform=len(uniform_nodes),
-        uniform_count=len(constant_nodes) + len(uniform_nodes),
+        uniform=len(groups.uniform),
+        uniform_count=len(groups.constants) + len(groups.uniform),
         registers=registers,
         results=np.array([places[k] for k in results], dtype=np.int32),
     )
+
+
+class _NodeGroups(NamedTuple):
+    """Nodes in the order of evaluation, by the place of their values."""
+
+    inputs: list[int]
+    constants: list[int]  # literals and numbers
+    uniform: list[int]  # operations on constants, run once
+    rows: list[int]  # operations that are run for each row
+
+
+def _group_nodes(
+    nodes: Sequence[Node], order: Sequence[int], inputs: Container[int]
+) -> _NodeGroups:
+    groups = _NodeGroups([], [], [], [])
+    for k in order:
+        if k in inputs:
+            groups.inputs.append(k)
+        elif not nodes[k].operation:
+            groups.constants.append(k)
+        elif nodes[k].dependence <= Dependence.NUMBERS:
+            groups.uniform.append(k)
+        else:
+            groups.rows.append(k)
+    return groups
 
 
 def _order_nodes(nodes: Sequence[Node], results: Sequence[int], known_nodes: set[int]) -> list[int]:
     ordered: dict[int, None] = {}
 
     def visit(k: int) -> None:
-        if k not in ordered:
-            for operand in () if k in known_nodes else nodes[k].operands:
+        if k in ordered:
+            return
+        if k not in known_nodes:
+            for operand in nodes[k].operands:
                 visit(operand)
-            ordered[k] = None
+        ordered[k] = None
 
     reachable = _collect_reachable_nodes(nodes, results, known_nodes)
     moves = sorted(k for k in reachable if nodes[k].operation in _MOVES)
@@ -358,8 +399,12 @@ def _allocate(
     places: dict[int, int],
     first_register: int,
 ) -> int:
-    last_use = {operand: i for i, k in enumerate(row_nodes) for operand in nodes[k].operands}
-    allocatable = set(row_nodes)
+    """Add places of registers of rows, reused after their last use; return their count."""
+    last_use: dict[int, int] = {}
+    for i, k in enumerate(row_nodes):
+        last_use.update(dict.fromkeys(nodes[k].operands, i))
+    # Registers of results and of other nodes than rows stay occupied.
+    allocatable = set(row_nodes) - result_nodes
     free_registers = list[int]()
     register_count = first_register
     for i, k in enumerate(row_nodes):
@@ -367,13 +412,15 @@ def _allocate(
         if free_registers:
             places[k] = free_registers.pop()
         else:
-            places[k], register_count = register_count, register_count + 1
+            places[k] = register_count
+            register_count += 1
         ended_nodes = {
             operand
             for operand in nodes[k].operands
-            if operand in allocatable and last_use[operand] == i and operand not in result_nodes
+            if operand in allocatable and last_use[operand] == i
         }
-        ended_nodes |= {k} if k not in last_use and k not in result_nodes else set()
+        if k in allocatable and k not in last_use:
+            ended_nodes.add(k)
         free_registers += sorted(places[node] for node in ended_nodes)
     return register_count
 
@@ -386,7 +433,8 @@ def _encode_operation(
     if name in ("ADD", "MULTIPLY") and nodes[k].dependence is Dependence.ROWS:
         # The uniform operand comes second; it is read once.
         operands.sort(key=lambda operand: -nodes[operand].dependence)
-        name += "_SAME" if nodes[operands[1]].dependence <= Dependence.NUMBERS else ""
+        if nodes[operands[1]].dependence <= Dependence.NUMBERS:
+            name += "_SAME"
     registers = [places[operand] for operand in operands] + [0, 0, 0]
     if name in _MOVES:
         registers[2] = nodes[k].detail
