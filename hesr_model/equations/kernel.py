@@ -6,7 +6,7 @@ import numpy as np
 import sympy
 from numpy.typing import NDArray
 
-from hesr_model.equations.memory import Element
+from hesr_model.equations.memory import Element, find_read_symbols
 from hesr_model.equations.operations import Graph, build_program, find_fixed_nodes
 from hesr_model.equations.program import initial_state, initial_symbol
 from hesr_model.equations.rows import BLOCK, ProgramRun
@@ -36,7 +36,9 @@ class Kernel:
         graph.move(self.memory)
         graph.assign(names or {})
         results = [graph.find_node(expression) for expression in expressions]
-        self.known_nodes = [] if once else find_fixed_nodes(graph, results)
+        self.known_nodes: list[int] = []
+        if not once:
+            self.known_nodes = find_fixed_nodes(graph, results)
         self.fixed_program = build_program(graph, self.known_nodes)
         self.main_program = build_program(graph, results, self.known_nodes)
         graph = Graph((*numbers, *(element.state for element in self.memory)), inputs)
@@ -45,7 +47,7 @@ class Kernel:
             graph, [graph.find_node(initial_symbol(element)) for element in self.memory]
         )
         self.row_by_row = any(
-            element.state in sympy.Tuple(*element.parts).free_symbols for element in self.memory
+            element.state in find_read_symbols([element]) for element in self.memory
         )
 
 
@@ -93,9 +95,12 @@ class KernelRun(ProgramRun):
     def begin(self, numbers: Array, start: Array | None = None, *, settled: bool = False) -> Array:
         """Set and return initial states (m, records) from states at rest, or the `settled` ones."""
         if settled and start is not None:
-            self.starts[:] = start if start.ndim > 1 else start[:, None]
+            if start.ndim == 1:  # equal for all records
+                start = start[:, None]
+            self.starts[:] = start
         elif len(self.starts):
-            self._first.run_rows(np.concatenate([numbers, self._start if start is None else start]))
+            start_at_rest = self._start if start is None else start
+            self._first.run_rows(np.concatenate([numbers, start_at_rest]))
             self.starts[:] = self._first.results.T
         return self.starts
 
@@ -121,5 +126,8 @@ class KernelRun(ProgramRun):
 
 
 def _to_doubles(values: Array) -> Array:
+    """Return values as doubles whose stride is a number of doubles, as C expects."""
     doubles = np.asarray(values, dtype=np.float64)
-    return doubles if doubles.strides[0] % 8 == 0 else np.ascontiguousarray(doubles)
+    if doubles.strides[0] % 8 != 0:
+        return np.ascontiguousarray(doubles)
+    return doubles

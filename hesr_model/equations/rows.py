@@ -5,7 +5,6 @@ import platform
 import sys
 from collections.abc import Mapping, Sequence
 from functools import cache
-from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +18,7 @@ from hesr_model.support.files import scratch_folder
 
 BLOCK = 128
 _LANES = 8  # as in rows.c
+_BYTES = 8  # of a number
 
 HOSTS = {
     ("linux", "x86_64"): ("x86_64-linux-gnu.2.17", ".so"),
@@ -70,10 +70,12 @@ def compile_rows(folder: Path, host: tuple[str, str]) -> Path:
     triple, suffix = HOSTS[host]
     for name in _SOURCES:
         Path(folder, name).write_bytes(Path(__file__).with_name(name).read_bytes())
-    numbers = [f"-D{name}={i}" for i, name in enumerate(NAMES)]
+    flags = ["-target", triple, *_FLAGS]
+    if suffix != ".dll":
+        flags.append("-fPIC")
+    flags += [f"-D{name}={i}" for i, name in enumerate(NAMES)]
     file = Path(folder, f"rows{suffix}")
-    flags = ("-target", triple, *_FLAGS, *(() if suffix == ".dll" else ("-fPIC",)), *numbers)
-    compile_c(Path(folder, "rows.c"), flags, file, _LIBRARIES[suffix])
+    compile_c(Path(folder, "rows.c"), tuple(flags), file, _LIBRARIES[suffix])
     return file
 
 
@@ -115,6 +117,25 @@ def vectors() -> int:
     return int(library().widest())
 
 
+class _Buffer:
+    """Arrays of numbers of 8 bytes in one allocation: each look-up of an address is slow."""
+
+    def __init__(self, sizes: Mapping[str, int]) -> None:
+        numbers = np.zeros(sum(sizes.values()))
+        first_address = _address(numbers)
+        self.views: dict[str, Array] = {}
+        self.addresses: dict[str, int] = {}
+        start = 0
+        for name, size in sizes.items():
+            self.views[name] = numbers[start : start + size]
+            self.addresses[name] = first_address + _BYTES * start
+            start += size
+
+    def write_integers(self, name: str, values: Sequence[int]) -> None:
+        """Write integers or addresses, which C reads as such, into an array."""
+        self.views[name].view(np.int64)[:] = values
+
+
 class ProgramRun:
     """Program bound to arrays (N,), with `results` (N, K) and initial states `starts`."""
 
@@ -132,54 +153,32 @@ class ProgramRun:
     ) -> None:
         self._rows = len(arrays[0])
         result_count = len(program.results)
-        self.results = np.empty((result_count, self._rows)).T if output is None else output
-        target = None if target is None else self._column(target)
+        if output is None:
+            output = np.empty((result_count, self._rows)).T
+        self.results = output
+        target_column = None if target is None else self._column(target)
         input_arrays = [arrays[i] for i in program.inputs]
-        sizes = {
-            "work": (program.registers + result_count + 11) * BLOCK,
-            "lanes": sum(4 * _LANES * -(-width // 4) for width in range(1, result_count + 2)),
-            "gram": (result_count + 1) ** 2,
-            "x": result_count,
-            "squares": 1,
-            "factors": result_count * (result_count + 3),
-            "given": len(program.constants),
-            "start": states * len(firsts),
-            "carried": states,
-            "inputs": len(input_arrays),
-            "strides": len(input_arrays),
-            "out": result_count,
-            "places": program.registers,
-            "columns": result_count + 4,
-        }
-        # One allocation, because each look-up of an address is slow.
-        starts = list(accumulate(sizes.values(), initial=0))
-        buffer = np.zeros(starts[-1])
-        views = {
-            name: buffer[start : start + size]
-            for (name, size), start in zip(sizes.items(), starts, strict=False)
-        }
-        buffer_address = _address(buffer)
-        output_address = _address(self.results)
-        addresses = {
-            name: buffer_address + 8 * start for name, start in zip(sizes, starts, strict=False)
-        }
-        views["given"][:] = program.constants
-        views["inputs"].view(np.int64)[:] = [_address(a) for a in input_arrays]
-        views["strides"].view(np.int64)[:] = [a.strides[0] // 8 for a in input_arrays]
-        views["out"].view(np.int64)[:] = [
-            output_address + i * self.results.strides[1] for i in range(result_count)
-        ]
-        self.starts = views["start"].reshape(states, len(firsts))
-        self.gram = views["gram"]
-        self._constants = views["given"]
+        sizes = _measure_arrays(program, len(input_arrays), states, len(firsts))
+        buffer = _Buffer(sizes)
+        self._addresses = buffer.addresses
+        self._constants = buffer.views["given"]
+        self._constants[:] = program.constants
         self._numbers = program.numbers
-        self._x = views["x"]
-        self._squares = views["squares"]
-        self._addresses = addresses
-        self._keep_alive = (program, input_arrays, firsts, target)  # C uses their addresses
+        self.starts = buffer.views["start"].reshape(states, len(firsts))
+        self.gram = buffer.views["gram"]
+        self._x = buffer.views["x"]
+        self._squares = buffer.views["squares"]
+        buffer.write_integers("inputs", [_address(array) for array in input_arrays])
+        buffer.write_integers("strides", [array.strides[0] // _BYTES for array in input_arrays])
+        column_stride = self.results.strides[1]
+        first_column = _address(self.results)
+        buffer.write_integers(
+            "out", [first_column + i * column_stride for i in range(result_count)]
+        )
+        self._keep_alive = (program, input_arrays, firsts, target_column)  # C uses their addresses
         operations_address, results_address = program.addresses
         self._struct = _ProgramStruct(
-            **{name: addresses[name] for name in sizes if name in _ADDRESSES},
+            **{name: buffer.addresses[name] for name in sizes if name in _ADDRESSES},
             operations=operations_address,
             uniform=program.uniform,
             count=len(program.operations),
@@ -193,10 +192,11 @@ class ProgramRun:
             block=block,
             results=results_address,
             result_count=result_count,
-            out_stride=self.results.strides[0] // 8,
-            target=None if target is None else _address(target),
+            out_stride=self.results.strides[0] // _BYTES,
             lane_count=sizes["lanes"],
         )
+        if target_column is not None:
+            self._struct.target = _address(target_column)
         self._reference = ctypes.byref(self._struct)
 
     def _column(self, values: Array) -> Array:
@@ -204,9 +204,11 @@ class ProgramRun:
 
     def run_rows(self, numbers: Array, first: int = 0, stop: int | None = None) -> None:
         """Write rows of the results, after all earlier rows."""
+        if stop is None:
+            stop = self._rows
         struct = self._struct
         struct.first = first
-        struct.stop = self._rows if stop is None else stop
+        struct.stop = stop
         struct.weights = None
         struct.gram = None
         struct.out = self._addresses["out"]
@@ -223,7 +225,9 @@ class ProgramRun:
             addresses["x"],
             addresses["squares"],
         )
-        return (self._x.copy(), float(self._squares[0])) if is_determined else None
+        if not is_determined:
+            return None
+        return self._x.copy(), float(self._squares[0])
 
     def multiply(self, numbers: Array, weights: Array | None, *, keep: bool = False) -> Array:
         """Return the upper triangle (K + 1, K + 1) of products of results and target, last.
@@ -232,12 +236,16 @@ class ProgramRun:
         """
         struct = self._struct
         addresses = self._addresses
-        column = None if weights is None else self._column(weights)
         struct.first = 0
         struct.stop = self._rows
-        struct.weights = None if column is None else _address(column)
+        struct.weights = None
+        if weights is not None:
+            column = self._column(weights)  # a name keeps it until C has read it
+            struct.weights = _address(column)
         struct.gram = addresses["gram"]
-        struct.out = addresses["out"] if keep else None
+        struct.out = None
+        if keep:
+            struct.out = addresses["out"]
         self._run(numbers)
         return self.gram.reshape(len(self._x) + 1, -1)
 
@@ -249,6 +257,31 @@ class ProgramRun:
                 f"Euler needs 0 <= rate * step < 1, found {struct.unstable:.3g}; take a "
                 "smaller step or the 'exact' discretisation."
             )
+
+
+def _measure_arrays(
+    program: Program, input_count: int, state_count: int, first_count: int
+) -> dict[str, int]:
+    """Return how many numbers of 8 bytes each array of a run has that `rows.c` reads or writes."""
+    result_count = len(program.results)
+    # Products of a result with all up to itself and with the target, four at a time.
+    lane_groups = sum(-(-width // 4) for width in range(1, result_count + 2))
+    return {
+        "work": (program.registers + result_count + 11) * BLOCK,
+        "lanes": 4 * _LANES * lane_groups,
+        "gram": (result_count + 1) ** 2,
+        "x": result_count,
+        "squares": 1,
+        "factors": result_count * (result_count + 3),
+        "given": len(program.constants),
+        "start": state_count * first_count,
+        "carried": state_count,
+        "inputs": input_count,
+        "strides": input_count,
+        "out": result_count,
+        "places": program.registers,
+        "columns": result_count + 4,
+    }
 
 
 def _address(array: NDArray[np.generic]) -> int:
