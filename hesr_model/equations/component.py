@@ -6,13 +6,13 @@ Relaxation, Stop             memory with a sampled and a continuous form
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass
 from functools import cached_property
 
 import sympy
 
-from hesr_model.equations.memory import DT, Element, Relaxation
+from hesr_model.equations.memory import DT, Element, Relaxation, find_read_symbols
 from hesr_model.errors import ArtifactError
 
 
@@ -121,32 +121,38 @@ class Component:
 
     def __post_init__(self) -> None:
         given_symbols = [quantity.symbol for quantity in self.given]
-        states = [
-            symbol for element in self.memory for symbol in (element.state, element.derivative)
-        ]
-        equation_symbols = [equation.symbol for equation in self.equations]
-        symbol_counts = Counter([*given_symbols, *states, *equation_symbols])
-        repeated = [symbol for symbol, count in symbol_counts.items() if count > 1]
-        if repeated:
-            raise ArtifactError(
-                f"equations: '{repeated[0]}' is used twice among inputs, coefficients, states and "
-                "names."
-            )
-        previous_symbols = {previous(equation.name) for equation in self.remembered}
-        known_symbols = {*given_symbols, DT, *previous_symbols}
+        state_symbols = []
         for element in self.memory:
-            readable_states = {element.state} if isinstance(element, Relaxation) else set()
-            rate = element.parts[1].free_symbols - known_symbols - readable_states
-            _require_known((element.parts[0].free_symbols - known_symbols) | rate, element.name)
-            known_symbols.add(element.state)
-        known_symbols |= {*states, *equation_symbols}
-        for equation in self.equations:
-            parts = (equation.expression, *(() if equation.start is None else (equation.start,)))
-            _require_known(
-                set().union(*(part.free_symbols for part in parts)) - known_symbols, equation.name
-            )
+            state_symbols += [element.state, element.derivative]
+        equation_symbols = [equation.symbol for equation in self.equations]
+        _require_unique([*given_symbols, *state_symbols, *equation_symbols])
+        previous_symbols = [previous(equation.name) for equation in self.remembered]
+        known_symbols = {*given_symbols, DT, *previous_symbols}
+        self._require_known_memory(known_symbols)
+        self._require_known_equations({*known_symbols, *state_symbols, *equation_symbols})
         _require_known(self.settling.free_symbols - set(given_symbols), "settling")
-        self.ordered  # noqa: B018 - raises if equations form a circle
+        _require_acyclic({equation.symbol: equation.expression for equation in self.equations})
+
+    def _require_known_memory(self, known_symbols: Set[sympy.Symbol]) -> None:
+        """Raise ArtifactError if memory reads unknown symbols or states that move later."""
+        readable_symbols = set(known_symbols)
+        for element in self.memory:
+            first, second = element.parts
+            unknown_of_second = second.free_symbols - readable_symbols
+            if isinstance(element, Relaxation):
+                # A rate may depend on the state itself, which is frozen over a step.
+                unknown_of_second.discard(element.state)
+            unknown_of_first = first.free_symbols - readable_symbols
+            _require_known(unknown_of_first | unknown_of_second, element.name)
+            readable_symbols.add(element.state)
+
+    def _require_known_equations(self, known_symbols: Set[sympy.Symbol]) -> None:
+        """Raise ArtifactError if equations or their starts read unknown symbols."""
+        for equation in self.equations:
+            read_symbols = set(equation.expression.free_symbols)
+            if equation.start is not None:
+                read_symbols |= equation.start.free_symbols
+            _require_known(read_symbols - known_symbols, equation.name)
 
     @property
     def given(self) -> tuple[Quantity, ...]:
@@ -157,12 +163,8 @@ class Component:
     def ordered(self) -> tuple[Equation, ...]:
         """Equations, each after those it uses."""
         equations_by_symbol = {equation.symbol: equation for equation in self.equations}
-        return tuple(
-            equations_by_symbol[symbol]
-            for symbol in order_symbols(
-                {symbol: equation.expression for symbol, equation in equations_by_symbol.items()}
-            )
-        )
+        expressions = {equation.symbol: equation.expression for equation in self.equations}
+        return tuple(equations_by_symbol[symbol] for symbol in order_symbols(expressions))
 
     @property
     def outputs(self) -> tuple[Equation, ...]:
@@ -197,9 +199,7 @@ class Component:
     @cached_property
     def sampled_memory(self) -> bool:
         """True if memory reads previous values; it then moves by whole steps only."""
-        read_symbols = sympy.Tuple(
-            *(part for element in self.memory for part in element.parts)
-        ).free_symbols
+        read_symbols = find_read_symbols(self.memory)
         return any(previous(equation.name) in read_symbols for equation in self.remembered)
 
     @cached_property
@@ -213,11 +213,10 @@ class Component:
     ) -> frozenset[sympy.Symbol]:
         """Return the given symbols and states behind an expression, at the start if `starting`."""
         definitions = {equation.symbol: equation.expression for equation in self.equations}
-        definitions |= self.starts if starting else {}
-        definitions |= {
-            element.derivative: sympy.Tuple(element.state, *element.parts)
-            for element in self.memory
-        }
+        if starting:
+            definitions |= self.starts
+        for element in self.memory:
+            definitions[element.derivative] = sympy.Tuple(element.state, *element.parts)
         visited: set[sympy.Symbol] = set()
         waiting = set(expression.free_symbols)
         while waiting:
@@ -246,6 +245,20 @@ def order_symbols(expressions: Mapping[sympy.Symbol, sympy.Expr]) -> Iterator[sy
 
     for symbol in expressions:
         yield from visit(symbol, ())
+
+
+def _require_unique(symbols: Iterable[sympy.Symbol]) -> None:
+    for symbol, count in Counter(symbols).items():
+        if count > 1:
+            raise ArtifactError(
+                f"equations: '{symbol}' is used twice among inputs, coefficients, states and names."
+            )
+
+
+def _require_acyclic(expressions: Mapping[sympy.Symbol, sympy.Expr]) -> None:
+    """Raise ArtifactError if expressions form a circle."""
+    for _ in order_symbols(expressions):
+        pass
 
 
 def _require_known(unknown: set[sympy.Symbol], where: str) -> None:

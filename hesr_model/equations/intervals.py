@@ -5,6 +5,7 @@ They hold for real numbers, without the round-off of floating point.
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import reduce
+from itertools import product
 from math import inf
 from typing import NamedTuple
 
@@ -49,16 +50,13 @@ def find_minimum(
     box_count = 0
     for _ in range(_MAX_ROUNDS):
         middles = np.sqrt(lower_ends) * np.sqrt(upper_ends)
-        interval_bounds, middle_values = (
-            np.nan_to_num(raw_bounds, nan=-inf, posinf=inf, neginf=-inf)
-            for raw_bounds in (bound(lower_ends, upper_ends), bound(middles, middles))
-        )
+        interval_bounds = _replace_nan(bound(lower_ends, upper_ends))
+        middle_values = _replace_nan(bound(middles, middles))
         if middle_values.min() < lowest_value:
             lowest_value = float(middle_values.min())
             minimiser = float(middles[middle_values.argmin()])
-        is_open = interval_bounds < min(
-            lowest_value - _RELATIVE_PRECISION * max(abs(lowest_value), size), sufficient_bound
-        )
+        precise_bound = lowest_value - _RELATIVE_PRECISION * max(abs(lowest_value), size)
+        is_open = interval_bounds < min(precise_bound, sufficient_bound)
         closed_bound = min(closed_bound, float(interval_bounds[~is_open].min(initial=inf)))
         box_count += len(lower_ends)
         if not np.any(is_open):
@@ -66,12 +64,15 @@ def find_minimum(
         open_bound = float(interval_bounds[is_open].min())
         if box_count > _MAX_BOXES or lowest_value == -inf:
             break
-        lower_ends, middles, upper_ends = lower_ends[is_open], middles[is_open], upper_ends[is_open]
-        lower_ends, upper_ends = (
-            np.concatenate([lower_ends, middles]),
-            np.concatenate([middles, upper_ends]),
-        )
+        open_middles = middles[is_open]
+        lower_ends = np.concatenate([lower_ends[is_open], open_middles])
+        upper_ends = np.concatenate([open_middles, upper_ends[is_open]])
     return Minimum(min(closed_bound, open_bound), lowest_value, minimiser)
+
+
+def _replace_nan(bounds: Array) -> Array:
+    """Return lower bounds with -inf in place of NaN, which counts as any number."""
+    return np.nan_to_num(bounds, nan=-inf, posinf=inf, neginf=-inf)
 
 
 def bound_expression(expression: sympy.Expr, box: Mapping[sympy.Symbol, Enclosure]) -> Enclosure:
@@ -84,9 +85,9 @@ def _enclose_expression(
     expression: sympy.Expr, enclosures: dict[sympy.Expr, Enclosure]
 ) -> Enclosure:
     if expression not in enclosures:
-        lower, upper = (
-            np.asarray(side, dtype=float) for side in _bound_expression(expression, enclosures)
-        )
+        lower_side, upper_side = _bound_expression(expression, enclosures)
+        lower = np.asarray(lower_side, dtype=float)
+        upper = np.asarray(upper_side, dtype=float)
         is_undefined = np.isnan(lower) | np.isnan(upper)
         enclosures[expression] = (
             np.where(is_undefined, -inf, lower),
@@ -99,31 +100,19 @@ def _bound_expression(expression: sympy.Expr, enclosures: dict[sympy.Expr, Enclo
     if expression.is_number:
         return np.array(float(expression)), np.array(float(expression))
     arguments = [_enclose_expression(a, enclosures) for a in expression.args]
-    function_name = type(expression).__name__
     if isinstance(expression, sympy.Add):
-        lower_ends, upper_ends = zip(*arguments, strict=True)
-        return reduce(np.add, lower_ends), reduce(np.add, upper_ends)
+        return _bound_rising(_add, arguments)
     if isinstance(expression, sympy.Mul):
-        lower, upper = arguments[0]
-        for factor in arguments[1:]:
-            lower, upper = _hull([_multiply_bounds(a, b) for a in (lower, upper) for b in factor])
-        return lower, upper
+        return _bound_product(arguments)
     if isinstance(expression, sympy.Pow) and expression.exp.is_number:
         return _bound_power(*arguments[0], float(expression.exp))
+    function_name = type(expression).__name__
     if function_name in _RISING_FUNCTIONS:
-        lower_ends, upper_ends = zip(*arguments, strict=True)
-        return _RISING_FUNCTIONS[function_name](*lower_ends), _RISING_FUNCTIONS[function_name](
-            *upper_ends
-        )
-    if function_name in ("absolute", "cosh"):
-        lower, upper = arguments[0]
-        function = np.abs if function_name == "absolute" else np.cosh
-        lowest_end, highest_end = _hull([function(lower), function(upper)])
-        return np.where((lower < 0.0) & (upper > 0.0), function(0.0), lowest_end), highest_end
+        return _bound_rising(_RISING_FUNCTIONS[function_name], arguments)
+    if function_name in _EVEN_FUNCTIONS:
+        return _bound_even(_EVEN_FUNCTIONS[function_name], *arguments[0])
     if function_name == "clip":
-        x, (lowest_end, highest_end) = arguments
-        bounds = (lowest_end, highest_end, np.clip(0.0, lowest_end, highest_end))
-        return _hull([NUMPY["clip"](end, bound) for end in x for bound in bounds])
+        return _bound_clip(*arguments)
     if function_name in ("sin", "cos"):
         return np.array(-1.0), np.array(1.0)
     return np.array(-inf), np.array(inf)
@@ -134,6 +123,38 @@ _RISING_FUNCTIONS: Mapping[str, Callable[..., Array]] = {
     **{name: getattr(np, name) for name in ("exp", "tanh", "sinh", "log", "arctan")},
     "atan": np.arctan,
 }
+_EVEN_FUNCTIONS: Mapping[str, Callable[..., Array]] = {"absolute": np.abs, "cosh": np.cosh}
+
+
+def _add(*terms: Array) -> Array:
+    return reduce(np.add, terms)
+
+
+def _bound_rising(function: Callable[..., Array], arguments: Sequence[Enclosure]) -> Enclosure:
+    """Return bounds of a function that rises with each argument."""
+    lower_ends, upper_ends = zip(*arguments, strict=True)
+    return function(*lower_ends), function(*upper_ends)
+
+
+def _bound_even(function: Callable[..., Array], lower: Array, upper: Array) -> Enclosure:
+    """Return bounds of a function that rises with the distance from 0."""
+    lowest_end, highest_end = _hull([function(lower), function(upper)])
+    contains_zero = (lower < 0.0) & (upper > 0.0)
+    return np.where(contains_zero, function(0.0), lowest_end), highest_end
+
+
+def _bound_product(factors: Sequence[Enclosure]) -> Enclosure:
+    bounds = factors[0]
+    for factor in factors[1:]:
+        bounds = _hull([_multiply_bounds(a, b) for a, b in product(bounds, factor)])
+    return bounds
+
+
+def _bound_clip(x: Enclosure, limit: Enclosure) -> Enclosure:
+    """Return bounds of x clipped to -limit and limit; as a function of limit it bends at |x|."""
+    lower, upper = limit
+    limits = (lower, upper, np.clip(0.0, lower, upper))
+    return _hull([NUMPY["clip"](end, bound) for end, bound in product(x, limits)])
 
 
 def _multiply_bounds(a: Array, b: Array) -> Array:
