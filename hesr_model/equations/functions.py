@@ -140,15 +140,32 @@ def _scalar_share(z: float, e: float, euler: float) -> float:
 
 
 def _scalar_cardinal_sine(x: float) -> float:
-    return 1.0 - x * x / 6.0 * (1.0 - x * x / 20.0) if abs(x) < _SERIES_BELOW else math.sin(x) / x
+    if abs(x) < _SERIES_BELOW:
+        return 1.0 - x * x / 6.0 * (1.0 - x * x / 20.0)
+    return math.sin(x) / x
+
+
+def _scalar_larger(a: float, b: float) -> float:
+    # Like np.maximum, NaN if a or b is.
+    if a > b or a != a:
+        return a
+    return b
+
+
+def _scalar_clip(x: float, b: float) -> float:
+    if x < -b:
+        return -b
+    if x > b:
+        return b
+    return x
 
 
 SCALAR: Mapping[str, Callable[..., float]] = {
     "sgn": lambda x: float((x > 0.0) - (x < 0.0)),
     "absolute": abs,
     "positive": lambda x: x if x > 0.0 else 0.0,
-    "larger": lambda a, b: a if a > b or a != a else b,
-    "clip": lambda x, b: -b if x < -b else b if x > b else x,
+    "larger": _scalar_larger,
+    "clip": _scalar_clip,
     "exceeds": lambda a, b: 1.0 if a > b else 0.0,
     "over": lambda a, b, otherwise: a / b if b > 0.0 else otherwise,
     "decay": lambda z, euler: -z if euler else math.expm1(-z),

@@ -45,18 +45,26 @@ def initial_state(memory: Iterable[Element], settling: sympy.Expr) -> Definition
     replacements: Definitions = {}
     for element in memory:
         first, second = (part.xreplace(replacements) for part in element.parts)
-        steady_expression = element.steady_state(first, positive(second))
-        estimate = element.state
-        for n in range(_SEARCH_STEPS if element.seeks else 0):
-            next_estimate = sympy.Symbol(f"{element.name}_nearer_{n}", real=True)
-            definitions[next_estimate] = steady_expression.xreplace({element.state: estimate})
-            estimate = next_estimate
-        steady_value = estimate if element.seeks else steady_expression
+        steady_value = element.steady_state(first, positive(second))
+        if element.seeks:
+            search_steps = _search_steady_state(element, steady_value)
+            definitions |= search_steps
+            steady_value = list(search_steps)[-1]
         share = sympy.S.One if isinstance(element, Prompt) else settling
-        definitions[initial_symbol(element)] = element.state + share * (
-            steady_value - element.state
-        )
+        displacement = share * (steady_value - element.state)
+        definitions[initial_symbol(element)] = element.state + displacement
         replacements[element.state] = initial_symbol(element)
+    return definitions
+
+
+def _search_steady_state(element: Element, iteration: sympy.Expr) -> Definitions:
+    """Return estimates of a steady state, each one step of an iteration from the state before."""
+    definitions: Definitions = {}
+    estimate = element.state
+    for n in range(_SEARCH_STEPS):
+        next_estimate = sympy.Symbol(f"{element.name}_nearer_{n}", real=True)
+        definitions[next_estimate] = iteration.xreplace({element.state: estimate})
+        estimate = next_estimate
     return definitions
 
 
@@ -95,12 +103,11 @@ def derive_changes(seeds: Assignments, assignments: Assignments) -> Definitions:
         changed_symbols = sorted(
             expression.free_symbols & known_changes.keys(), key=sympy.default_sort_key
         )
-        change = sympy.Add(
-            *(
-                expression.diff(changed_symbol) * known_changes[changed_symbol]
-                for changed_symbol in changed_symbols
-            )
-        )
+        terms = [
+            expression.diff(changed_symbol) * known_changes[changed_symbol]
+            for changed_symbol in changed_symbols
+        ]
+        change = sympy.Add(*terms)
         if change != 0:  # later derivatives skip constant symbols
             known_changes[symbol] = change_symbol(symbol)
             changes[known_changes[symbol]] = change
@@ -131,25 +138,19 @@ class Jumps:
         component = self.component
         given_symbols = {quantity.symbol for quantity in component.given}
         inputs = {quantity.symbol for quantity in component.inputs}
-        parts = [equation.expression for equation in component.equations]
-        parts += [
-            part
-            for element in component.memory
-            for part in (*element.parts, element.express_derivative())
-        ]
-        signs = {
-            (expression, node.args[0]) for expression in parts for node in expression.atoms(sgn)
-        }
-        jumps = {z for expression, z in signs if _has_jump(expression, z)}
-        bends = {z for _, z in signs} | {
-            node.args[0] for expression in parts for node in expression.atoms(absolute)
-        }
+        jumps: set[sympy.Expr] = set()
+        bends: set[sympy.Expr] = set()
+        for expression in _list_expressions(component):
+            for sign in expression.atoms(sgn):
+                z = sign.args[0]
+                bends.add(z)
+                if z not in jumps and _has_jump(expression, z):
+                    jumps.add(z)
+            for magnitude in expression.atoms(absolute):
+                bends.add(magnitude.args[0])
         if not self.all_magnitudes:
-            bends = {
-                expression
-                for expression in bends
-                if expression.free_symbols & inputs <= {*component.reversing}
-            }
+            reversing = set(component.reversing)
+            bends = {bend for bend in bends if bend.free_symbols & inputs <= reversing}
         events = [
             expression
             for expression in jumps | bends
@@ -166,13 +167,20 @@ class Jumps:
         """Replace signs in assignments by held ones, if the component has events."""
         if not self.component.events:
             return dict(assignments)
-        held_signs = {
-            sgn(expression): sign
-            for expression, sign in zip(self.expressions, self.signs, strict=True)
-        }
+        held_signs = {}
+        for expression, sign in zip(self.expressions, self.signs, strict=True):
+            held_signs[sgn(expression)] = sign
         return {
             symbol: expression.xreplace(held_signs) for symbol, expression in assignments.items()
         }
+
+
+def _list_expressions(component: Component) -> list[sympy.Expr]:
+    """Return the expressions of equations, then those of memory."""
+    expressions = [equation.expression for equation in component.equations]
+    for element in component.memory:
+        expressions += [*element.parts, element.express_derivative()]
+    return expressions
 
 
 def remove_events(component: Component) -> Component:
@@ -181,21 +189,22 @@ def remove_events(component: Component) -> Component:
     steep_lines = {sgn(jump): clip(jump / STEEP, 1) for jump in jumps}
     equations = []
     for equation in component.equations:
-        start = None if equation.start is None else equation.start.xreplace(steep_lines)
-        equations.append(
-            replace(equation, expression=equation.expression.xreplace(steep_lines), start=start)
-        )
+        expression = equation.expression.xreplace(steep_lines)
+        start = equation.start
+        if start is not None:
+            start = start.xreplace(steep_lines)
+        equations.append(replace(equation, expression=expression, start=start))
     memory = tuple(element.subs(steep_lines) for element in component.memory)
     return replace(component, events=False, memory=memory, equations=tuple(equations))
 
 
 def _has_jump(expression: sympy.Expr, z: sympy.Expr) -> bool:
     """Return whether an expression differs on the two sides of z = 0, or z is not a symbol."""
-    ahead, behind = (
-        expression.xreplace({sgn(z): sympy.Integer(sign)}).xreplace({z: sympy.S.Zero})
-        for sign in (1, -1)
-    )
-    return not (z.is_Symbol and sympy.expand(ahead - behind) == 0)
+    if not z.is_Symbol:
+        return True
+    ahead = expression.xreplace({sgn(z): sympy.Integer(1)}).xreplace({z: sympy.S.Zero})
+    behind = expression.xreplace({sgn(z): sympy.Integer(-1)}).xreplace({z: sympy.S.Zero})
+    return bool(sympy.expand(ahead - behind) != 0)
 
 
 def find_sources(assignments: Assignments, target: sympy.Symbol) -> frozenset[sympy.Symbol]:
@@ -261,46 +270,60 @@ class Invariants:
         """Split a program; fixed factors and terms are combined, and rounded as such."""
         targets = tuple(targets)
         lines, names = build_straight_line(program, targets)
-        once: Definitions = {}
+        fixed_parts = _FixedParts(fixed)
         moving: Definitions = {}
-        fixed_symbols = set(fixed)
-        parts = dict[sympy.Expr, sympy.Symbol]()
-
-        def name_part(part: sympy.Expr) -> sympy.Symbol:
-            if part not in parts:
-                parts[part] = symbol = sympy.Symbol(f"fixed_{len(parts)}", real=True)
-                once[symbol] = part
-                fixed_symbols.add(symbol)
-            return parts[part]
-
-        def separate_fixed_terms(expression: sympy.Expr) -> sympy.Expr:
-            if expression.is_Atom:
-                return expression
-            if expression.free_symbols and expression.free_symbols <= fixed_symbols:
-                return name_part(expression)
-            arguments = list(expression.args)
-            if expression.is_Add or expression.is_Mul:
-                part = expression.func(*(a for a in arguments if a.free_symbols <= fixed_symbols))
-                if part.free_symbols and not part.is_Atom:
-                    arguments = [
-                        name_part(part),
-                        *(a for a in arguments if not a.free_symbols <= fixed_symbols),
-                    ]
-            return expression.func(*map(separate_fixed_terms, arguments))
-
         for symbol, expression in lines.items():
-            if not expression.is_Atom and expression.free_symbols <= fixed_symbols:
-                once[symbol] = expression
-                parts.setdefault(expression, symbol)
-                fixed_symbols.add(symbol)
+            if not expression.is_Atom and fixed_parts.is_fixed(expression):
+                fixed_parts.define(symbol, expression)
             else:
-                moving[symbol] = separate_fixed_terms(expression)
+                moving[symbol] = fixed_parts.separate_terms(expression)
         read_symbols = set[sympy.Symbol](targets).union(
             *(expression.free_symbols for expression in moving.values())
         )
+        once = fixed_parts.definitions
         return cls(
             once=once,
             reused=tuple(symbol for symbol in once if symbol in read_symbols),
             moving=moving,
             names=names,
         )
+
+
+class _FixedParts:
+    """Parts of expressions that depend on fixed symbols alone, each defined once."""
+
+    def __init__(self, fixed: Iterable[sympy.Symbol]) -> None:
+        self.definitions: Definitions = {}
+        self._fixed_symbols = set(fixed)
+        self._symbol_by_part: dict[sympy.Expr, sympy.Symbol] = {}
+
+    def is_fixed(self, expression: sympy.Expr) -> bool:
+        """Return whether an expression reads fixed symbols only, or none."""
+        return bool(expression.free_symbols <= self._fixed_symbols)
+
+    def define(self, symbol: sympy.Symbol, part: sympy.Expr) -> None:
+        """Define a symbol by a fixed part; later equal parts are replaced by the first symbol."""
+        self.definitions[symbol] = part
+        self._symbol_by_part.setdefault(part, symbol)
+        self._fixed_symbols.add(symbol)
+
+    def separate_terms(self, expression: sympy.Expr) -> sympy.Expr:
+        """Return an expression with symbols in place of its fixed parts, which are defined."""
+        if expression.is_Atom:
+            return expression
+        if expression.free_symbols and self.is_fixed(expression):
+            return self._name_part(expression)
+        arguments = list(expression.args)
+        if expression.is_Add or expression.is_Mul:
+            # Fixed terms or factors become one part, although others may be between them.
+            part = expression.func(*filter(self.is_fixed, arguments))
+            if part.free_symbols and not part.is_Atom:
+                changing = [argument for argument in arguments if not self.is_fixed(argument)]
+                arguments = [self._name_part(part), *changing]
+        return expression.func(*map(self.separate_terms, arguments))
+
+    def _name_part(self, part: sympy.Expr) -> sympy.Symbol:
+        if part not in self._symbol_by_part:
+            symbol = sympy.Symbol(f"fixed_{len(self._symbol_by_part)}", real=True)
+            self.define(symbol, part)
+        return self._symbol_by_part[part]

@@ -1,7 +1,7 @@
 """Components with previous values, run step by step in Python in the order of `c/equations.c`."""
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -21,34 +21,35 @@ class Steps:
     def __init__(
         self, component: Component, observed: Sequence[str] | None = None, *, lanes: bool = False
     ) -> None:
-        observed_names = (
-            [equation.name for equation in component.outputs]
-            if observed is None
-            else list(observed)
-        )
-        self.observed = tuple(observed_names)
+        if observed is None:
+            observed = [equation.name for equation in component.outputs]
+        self.observed = tuple(observed)
         self.component = component
         given_symbols = [quantity.symbol for quantity in component.given]
         states = [element.state for element in component.memory]
-        observed_symbols = [sympy.Symbol(name, real=True) for name in observed_names]
+        observed_symbols = [sympy.Symbol(name, real=True) for name in self.observed]
         remembered = [equation.symbol for equation in component.remembered]
         previous_symbols = [previous(equation.name) for equation in component.remembered]
         initial_symbols = [program.initial_symbol(element) for element in component.memory]
         moved_symbols = [program.moved_symbol(element) for element in component.memory]
         step_assignments = program.build_step(component) | {EULER: sympy.Integer(0)}
-        compile_function = partial(_compile_assignments, lanes=lanes)
-        self.settle = compile_function(
-            (given_symbols, states), program.build_initial_states(component), (initial_symbols,)
+        self.settle = _compile_assignments(
+            (given_symbols, states),
+            program.build_initial_states(component),
+            (initial_symbols,),
+            lanes=lanes,
         )
-        self.begin = compile_function(
+        self.begin = _compile_assignments(
             (given_symbols, states),
             program.first_readings(component),
             (observed_symbols, remembered),
+            lanes=lanes,
         )
-        self.step = compile_function(
+        self.step = _compile_assignments(
             (given_symbols, states, previous_symbols, (DT,)),
             step_assignments,
             (observed_symbols, remembered, moved_symbols),
+            lanes=lanes,
         )
 
     def run(
@@ -76,13 +77,11 @@ class Steps:
         first_inputs = [float(column[0]) for column in input_columns.values()]
         if settled:
             run.settle(*first_inputs)
-        rows = zip(
-            np.diff(t).tolist(),
-            *(column[1:].tolist() for column in input_columns.values()),
-            strict=True,
-        )
+        steps = np.diff(t).tolist()
+        later_inputs = [column[1:].tolist() for column in input_columns.values()]
         samples = [run.begin(*first_inputs)]
-        samples += [run.step(dt, *row) for dt, *row in rows]
+        for dt, *inputs in zip(steps, *later_inputs, strict=True):
+            samples.append(run.step(dt, *inputs))
         return np.array(samples).T
 
 
@@ -105,8 +104,10 @@ class ComponentRun:
 
     def _set_inputs(self, inputs: Sequence[float]) -> None:
         for place, value in zip(self._input_indices, inputs, strict=True):
-            # Scalars of NumPy are slow.
-            self._values[place] = value if isinstance(value, np.ndarray) else float(value)
+            if isinstance(value, np.ndarray):
+                self._values[place] = value
+            else:
+                self._values[place] = float(value)  # scalars of NumPy are slow
 
     def settle(self, *inputs: float) -> None:
         """Settle the initial states for the first inputs."""
@@ -156,18 +157,22 @@ def _compile_assignments(
     *,
     lanes: bool,
 ) -> Any:
-    lines, names = program.build_straight_line(
-        assignments, [target for group in targets for target in group]
-    )
+    """Return a function of groups of arguments that returns groups of targets."""
+    lines, names = program.build_straight_line(assignments, list(chain.from_iterable(targets)))
     short_symbols = {symbol: sympy.Symbol(name) for symbol, name in names.items()}
     lines = {
         short_symbols.get(symbol, symbol): expression.xreplace(short_symbols)
         for symbol, expression in lines.items()
     }
-    target_symbols = [[short_symbols[symbol] for symbol in group] for group in targets]
+    target_symbols = []
+    for group in targets:
+        target_symbols.append([short_symbols[symbol] for symbol in group])
+    modules: list[Any] = [dict(SCALAR), "math"]
+    if lanes:
+        modules = [dict(NUMPY), "numpy"]
     return sympy.lambdify(
         [list(group) for group in arguments],
         target_symbols,
-        modules=[dict(NUMPY), "numpy"] if lanes else [dict(SCALAR), "math"],
+        modules=modules,
         cse=lambda _: (list(lines.items()), target_symbols),
     )
