@@ -95,9 +95,9 @@ def fit_joint(
     def fit_law(records: Sequence[FrictionRecord]) -> FrictionLaw:
         law = law_estimator.fit(records, np.random.default_rng(seed))
         _require_law(law_name, law)
-        space = (
-            law_estimator.build_fitted_space(law) if isinstance(law_estimator, OneForm) else None
-        )
+        space = None
+        if isinstance(law_estimator, OneForm):
+            space = law_estimator.build_fitted_space(law)
         return add_standard_errors(law, records, space)
 
     with threadpool_limits(1), _fail_as_fit_error(law_name, joint_records[0].joint):
@@ -143,9 +143,10 @@ def _fail_as_fit_error(law_name: str, joint: str) -> Iterator[None]:
 
 
 def _require_finite_errors(law: FrictionLaw) -> None:
-    covariances = () if law.covariance is None else (law.covariance.matrix.ravel(),)
-    errors = np.concatenate([list(law.standard_errors.values()), *covariances])
-    if not np.all(np.isfinite(errors)):
+    errors = [np.array(list(law.standard_errors.values()))]
+    if law.covariance is not None:
+        errors.append(law.covariance.matrix.ravel())
+    if not np.all(np.isfinite(np.concatenate(errors))):
         raise ArtifactError(f"law '{law.name}': its standard errors are not finite.")
 
 
@@ -164,7 +165,7 @@ def fit(
     law_name = to_law_name(law)
     if not logs:
         raise FitError(f"law '{law_name}': no log given; pass the records of at least one.")
-    joints = [tuple(record.joint for record in log_records) for log_records in logs]
+    joints = [_list_joints(log_records) for log_records in logs]
     for other_joints in joints[1:]:
         if other_joints != joints[0]:
             raise FitError(
@@ -180,6 +181,10 @@ def fit(
         provenance=source_of(files=[], seed=seed),
         workers=workers,
     )[law_name]
+
+
+def _list_joints(log_records: Sequence[FrictionRecord]) -> tuple[str, ...]:
+    return tuple(record.joint for record in log_records)
 
 
 def fit_models(
@@ -205,50 +210,50 @@ def fit_models(
     `checkpoints` is a folder of checkpoints for killed runs. Nuisances `per_log` are removed first
     (`days`).
     """
+    variants = variants or {}
+    options = options or {}
     coupling = records[0][0].coupling
     records = transform_all_records(records)
     origin = dict(provenance or {})
     if per_log:
-        records, origin["per_log"] = _remove_all_nuisances(records, per_log)
-    joints = [joint_records[0].joint for joint_records in records]
+        records, nuisance_values = _remove_all_nuisances(records, per_log)
+        origin["per_log"] = nuisance_values
     with scratch_folder() as folder:
-        jobs = {
-            law_name: [
-                partial(
+        jobs = []
+        for law_name in dict.fromkeys(laws):  # a repeated law once
+            for j, joint_records in enumerate(records):
+                progress_file = Path(folder, f"{law_name}.{j}")
+                fit_law = partial(
                     load_or_fit,
-                    (variants or {}).get(law_name, law_name),
+                    variants.get(law_name, law_name),
                     joint_records,
                     checkpoints=checkpoints,
-                    progress=Path(folder, f"{law_name}.{j}"),
+                    progress=progress_file,
                     seed=seed,
-                    options=(options or {}).get(law_name),
+                    options=options.get(law_name),
                 )
-                for j, joint_records in enumerate(records)
-            ]
-            for law_name in laws
-        }
+                jobs.append(_FitJob(law_name, joint_records[0].joint, fit_law, progress_file))
         fitted_laws, failures = _run_jobs(
-            jobs, joints, workers, progress, stops_at_failure=report_left_out is None
+            jobs, workers, progress, stops_at_failure=report_left_out is None
         )
     calibrated, calibration_failures = _calibrate_laws(fitted_laws, records, workers)
     failures |= calibration_failures
-    for law_name in laws:
-        if law_name in failures:
-            if report_left_out is None or not calibrated:
-                raise failures[law_name]
-            report_left_out(law_name, failures[law_name])
-    periods = [
-        float(np.median(np.diff(record.t))) for joint_records in records for record in joint_records
-    ]
-    sample_time = round(float(np.median(periods)), 9)
-    trained = tuple(TrainedRange.from_records(joint_records) for joint_records in records)
-    return {
-        law_name: FrictionModel(
+    failed_laws = [law_name for law_name in laws if law_name in failures]
+    for law_name in failed_laws:
+        if report_left_out is None or not calibrated:
+            raise failures[law_name]
+        report_left_out(law_name, failures[law_name])
+    sample_time = _find_sample_time(records)
+    trained = tuple(map(TrainedRange.from_records, records))
+    first_records = [joint_records[0] for joint_records in records]
+    models = {}
+    for law_name, joint_laws in calibrated.items():
+        models[law_name] = FrictionModel(
             law=law_name,
             robot=robot,
-            joints=tuple(joints),
+            joints=tuple(record.joint for record in first_records),
             laws=tuple(joint_law.law for joint_law in joint_laws),
-            sliding=tuple(joint_records[0].sliding for joint_records in records),
+            sliding=tuple(record.sliding for record in first_records),
             coupling=coupling,
             sample_time=sample_time,
             trained=trained,
@@ -256,8 +261,15 @@ def fit_models(
             left_out_rmse=_list_left_out_errors(joint_laws),
             provenance=dict(origin),
         )
-        for law_name, joint_laws in calibrated.items()
-    }
+    return models
+
+
+def _find_sample_time(records: Sequence[Sequence[FrictionRecord]]) -> float:
+    """Return the median sample period [s] over records [joint][log]."""
+    periods = []
+    for joint_records in records:
+        periods += [float(np.median(np.diff(record.t))) for record in joint_records]
+    return round(float(np.median(periods)), 9)
 
 
 def _remove_all_nuisances(
@@ -298,23 +310,13 @@ def _calibrate_laws(
 ) -> tuple[dict[str, list[_CalibratedLaw]], dict[str, FitError]]:
     """Pool the errors of all joints of a law and fit its bands; return laws and failures."""
     joints = [joint_records[0].joint for joint_records in records]
-    failures: dict[str, FitError] = {}
-    pooled_laws: dict[str, list[FrictionLaw]] = {}
-    for law_name, joint_laws in fitted_laws.items():
-        try:
-            with _fail_as_fit_error(law_name, ", ".join(joints)):
-                pooled_laws[law_name] = pool_errors(joint_laws)
-                for law in pooled_laws[law_name]:
-                    _require_finite_errors(law)
-        except FitError as error:
-            failures[law_name] = error
-            pooled_laws.pop(law_name, None)
-    calibrations = [
-        partial(_calibrate, law_name, law, joint_records)
-        for law_name, joint_laws in pooled_laws.items()
-        for law, joint_records in zip(joint_laws, records, strict=True)
-    ]
-    names = [f"{joint}, {law_name}" for law_name in pooled_laws for joint in joints]
+    pooled_laws, failures = _pool_laws(fitted_laws, joints)
+    calibrations = []
+    names = []
+    for law_name, joint_laws in pooled_laws.items():
+        for law, joint_records in zip(joint_laws, records, strict=True):
+            calibrations.append(partial(_calibrate, law_name, law, joint_records))
+            names.append(f"{joint_records[0].joint}, {law_name}")
     calibrated: dict[str, list[_CalibratedLaw]] = {law_name: [] for law_name in pooled_laws}
     with parallel.results_of(calibrations, workers, names=names) as results:
         for law_name, calibrated_laws in calibrated.items():
@@ -324,6 +326,25 @@ def _calibrate_laws(
                 else:
                     calibrated_laws.append(result)
     return _select_successes(calibrated, failures), failures
+
+
+def _pool_laws(
+    fitted_laws: Mapping[str, Sequence[FrictionLaw]], joints: Sequence[str]
+) -> tuple[dict[str, list[FrictionLaw]], dict[str, FitError]]:
+    """Pool the errors of the joints of each law; return laws [joint] and failures."""
+    pooled_laws: dict[str, list[FrictionLaw]] = {}
+    failures: dict[str, FitError] = {}
+    for law_name, joint_laws in fitted_laws.items():
+        try:
+            with _fail_as_fit_error(law_name, ", ".join(joints)):
+                pooled = pool_errors(joint_laws)
+                for law in pooled:
+                    _require_finite_errors(law)
+        except FitError as error:
+            failures[law_name] = error
+        else:
+            pooled_laws[law_name] = pooled
+    return pooled_laws, failures
 
 
 def _select_successes(
@@ -347,29 +368,32 @@ def _calibrate(
     return _CalibratedLaw(law_with_band, training_rmse, left_out_rmse)
 
 
+class _FitJob(NamedTuple):
+    """Fit of a law to a joint, which writes its progress to a file."""
+
+    law_name: str
+    joint: str
+    run: "partial[FrictionLaw | FitError]"
+    progress_file: Path
+
+
 def _run_jobs(
-    jobs: Mapping[str, Sequence["partial[FrictionLaw | FitError]"]],
-    joints: Sequence[str],
-    workers: int | None,
-    progress: Progress,
-    *,
-    stops_at_failure: bool,
+    jobs: Sequence[_FitJob], workers: int | None, progress: Progress, *, stops_at_failure: bool
 ) -> tuple[dict[str, list[FrictionLaw]], dict[str, FitError]]:
     """Return the laws of all joints, and the first failure of each law that has one."""
-    all_jobs = [job for law_jobs in jobs.values() for job in law_jobs]
-    fitted_laws: dict[str, list[FrictionLaw]] = {law_name: [] for law_name in jobs}
+    fitted_laws: dict[str, list[FrictionLaw]] = {job.law_name: [] for job in jobs}
     failures: dict[str, FitError] = {}
-    files = [job.keywords["progress"] for job in all_jobs]
-    names = [f"{joint}, {law_name}" for law_name in jobs for joint in joints]
-    with watched(files, progress), parallel.results_of(all_jobs, workers, names=names) as results:
-        for law_name, law_jobs in jobs.items():
-            for result in islice(results, len(law_jobs)):
-                if isinstance(result, FrictionLaw):
-                    fitted_laws[law_name].append(result)
-                elif stops_at_failure:
-                    raise result
-                else:
-                    failures.setdefault(law_name, result)
+    files = [job.progress_file for job in jobs]
+    names = [f"{job.joint}, {job.law_name}" for job in jobs]
+    runs = [job.run for job in jobs]
+    with watched(files, progress), parallel.results_of(runs, workers, names=names) as results:
+        for job, result in zip(jobs, results, strict=True):
+            if isinstance(result, FrictionLaw):
+                fitted_laws[job.law_name].append(result)
+            elif stops_at_failure:
+                raise result
+            else:
+                failures.setdefault(job.law_name, result)
     return _select_successes(fitted_laws, failures), failures
 
 
@@ -383,34 +407,42 @@ def load_or_fit(
     options: Mapping[str, Any] | None,
 ) -> FrictionLaw | FitError:
     """Return the fitted law of a joint, from its checkpoint if it has one, or why it has none."""
-    key = compute_key(law_name, joint_records, seed, options)
-    file_name = f"{law_name}.{joint_records[0].joint}.{key}.json"
-    path = None
+    checkpoint = None
     # The key does not contain the expressions of a law, which a session can define anew.
     if checkpoints and not is_of_session(law_name):
-        path = checkpoints / "".join(c if c.isalnum() or c in "._-" else "_" for c in file_name)
+        key = compute_key(law_name, joint_records, seed, options)
+        file_name = f"{law_name}.{joint_records[0].joint}.{key}.json"
+        checkpoint = checkpoints / "".join(
+            c if c.isalnum() or c in "._-" else "_" for c in file_name
+        )
     report = make_file_progress(progress)
     law = None
-    if path and path.is_file():
+    if checkpoint and checkpoint.is_file():
         with suppress(ArtifactError):  # incomplete
-            law = FrictionModel.read(path).laws[0]
+            law = FrictionModel.read(checkpoint).laws[0]
     if law is None:
         try:
             with steps_told(report):
                 law = fit_joint(law_name, joint_records, seed=seed, options=options)
         except FitError as error:
             return error
-        if path:
-            period = float(
-                np.median(np.concatenate([np.diff(record.t) for record in joint_records]))
-            )
-            FrictionModel(
-                law=law.name,
-                robot="robot",
-                joints=(joint_records[0].joint,),
-                laws=(law,),
-                sliding=(joint_records[0].sliding,),
-                sample_time=round(period, 9),
-            ).write(path)
+        if checkpoint:
+            _write_checkpoint(checkpoint, law, joint_records)
     report(1, 1)
     return law
+
+
+def _write_checkpoint(
+    path: Path, law: FrictionLaw, joint_records: Sequence[FrictionRecord]
+) -> None:
+    """Write the law of one joint as a model."""
+    steps = np.concatenate([np.diff(record.t) for record in joint_records])
+    model = FrictionModel(
+        law=law.name,
+        robot="robot",
+        joints=(joint_records[0].joint,),
+        laws=(law,),
+        sliding=(joint_records[0].sliding,),
+        sample_time=round(float(np.median(steps)), 9),
+    )
+    model.write(path)
