@@ -19,6 +19,7 @@ import numpy as np
 import sympy
 
 from hesr_model.audit.certificate import certify
+from hesr_model.equations.memory import find_read_symbols
 from hesr_model.errors import FitError
 from hesr_model.fitting.joint_rows import log_of_rows
 from hesr_model.fitting.local_search import search_locally
@@ -26,6 +27,7 @@ from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record, rmse, training_error
+from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.inference.covariance import Covariance
 from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.residual import find_resting_speed, transform_all_records
@@ -51,46 +53,52 @@ def estimate_nuisances(
     """Estimate the nuisances of each log of a joint by name; a single log has none."""
     log_names = list(dict.fromkeys(record.log for record in joint_records))
     log_nuisances = [LogNuisances() for _ in log_names]
-    if len(log_names) > 1 and kinds:
-        log_of_row = log_of_rows(joint_records)
-        tau = np.concatenate([record.tau for record in joint_records])
-        dq = np.concatenate([record.dq for record in joint_records])
-        weights = np.bincount(log_of_row) / len(log_of_row)
-        direction = np.tanh(dq / find_resting_speed(joint_records))
-        columns = np.column_stack([direction, dq, np.ones_like(dq)])
-        for _ in range(_NUISANCE_ROUNDS):
-            level, offset = _expand_to_rows(log_nuisances, log_of_row)
-            coefficients = np.linalg.lstsq(level[:, None] * columns, tau - offset, rcond=None)[0]
-            log_nuisances = _solve_each_log(columns @ coefficients, tau, log_of_row, kinds)
-            mean_level = (
-                float(weights @ [nuisances.level for nuisances in log_nuisances])
-                if "level" in kinds
-                else 1.0
-            )
-            mean_offset = (
-                float(weights @ [nuisances.offset for nuisances in log_nuisances])
-                if "offset" in kinds
-                else 0.0
-            )
-            log_nuisances = [
-                LogNuisances(
-                    level=nuisances.level / mean_level, offset=nuisances.offset - mean_offset
-                )
-                for nuisances in log_nuisances
-            ]
+    if len(log_names) < 2 or not kinds:
+        return dict(zip(log_names, log_nuisances, strict=True))
+    log_of_row = log_of_rows(joint_records)
+    tau = np.concatenate([record.tau for record in joint_records])
+    dq = np.concatenate([record.dq for record in joint_records])
+    row_shares = np.bincount(log_of_row) / len(log_of_row)
+    # Alternate between a Coulomb-viscous law common to all logs and the nuisances of each.
+    direction = np.tanh(dq / find_resting_speed(joint_records))
+    columns = np.column_stack([direction, dq, np.ones_like(dq)])
+    for _ in range(_NUISANCE_ROUNDS):
+        level, offset = _expand_to_rows(log_nuisances, log_of_row)
+        coefficients = np.linalg.lstsq(level[:, None] * columns, tau - offset, rcond=None)[0]
+        log_nuisances = _solve_each_log(columns @ coefficients, tau, log_of_row, kinds)
+        log_nuisances = _normalise(log_nuisances, row_shares, kinds)
     return dict(zip(log_names, log_nuisances, strict=True))
+
+
+def _normalise(
+    log_nuisances: Sequence[LogNuisances], row_shares: Array, kinds: Sequence[Nuisance]
+) -> list[LogNuisances]:
+    """Return nuisances with a mean level of 1 and a mean offset of 0 over all rows.
+
+    The common law takes up the mean ones; without a convention they are not determined.
+    """
+    mean_level = 1.0
+    mean_offset = 0.0
+    if "level" in kinds:
+        mean_level = float(row_shares @ [nuisances.level for nuisances in log_nuisances])
+    if "offset" in kinds:
+        mean_offset = float(row_shares @ [nuisances.offset for nuisances in log_nuisances])
+    return [
+        LogNuisances(level=nuisances.level / mean_level, offset=nuisances.offset - mean_offset)
+        for nuisances in log_nuisances
+    ]
 
 
 def remove_nuisances(
     joint_records: Sequence[FrictionRecord], nuisances: Mapping[str, LogNuisances]
 ) -> list[FrictionRecord]:
     """Return records without the nuisances of their logs."""
-    return [
-        replace(
-            record, tau=(record.tau - nuisances[record.log].offset) / nuisances[record.log].level
-        )
-        for record in joint_records
-    ]
+    remaining_records = []
+    for record in joint_records:
+        log_nuisances = nuisances[record.log]
+        tau = (record.tau - log_nuisances.offset) / log_nuisances.level
+        remaining_records.append(replace(record, tau=tau))
+    return remaining_records
 
 
 def add_fitted_nuisances(
@@ -99,18 +107,17 @@ def add_fitted_nuisances(
     """Return predictions (N,) [N.m] with fitted nuisances of each log; these are not blind."""
     log_of_row = log_of_rows(joint_records)
     tau_predicted = np.concatenate(predictions)
-    nuisances = _solve_each_log(
-        tau_predicted, np.concatenate([record.tau for record in joint_records]), log_of_row, kinds
-    )
-    ends = np.cumsum([len(tau) for tau in predictions])
+    tau = np.concatenate([record.tau for record in joint_records])
+    nuisances = _solve_each_log(tau_predicted, tau, log_of_row, kinds)
+    ends = np.cumsum([len(prediction) for prediction in predictions])
     level, offset = _expand_to_rows(nuisances, log_of_row)
     return np.split(level * tau_predicted + offset, ends[:-1])
 
 
 def _expand_to_rows(log_nuisances: Sequence[LogNuisances], log_of_row: Integers) -> Array:
-    return np.array([[nuisances.level, nuisances.offset] for nuisances in log_nuisances])[
-        log_of_row
-    ].T
+    """Return level and offset of each row's log, (2, N)."""
+    by_log = np.array([[nuisances.level, nuisances.offset] for nuisances in log_nuisances])
+    return by_log[log_of_row].T
 
 
 def _solve_each_log(
@@ -127,11 +134,15 @@ def solve_nuisances(tau_predicted: Array, tau: Array, kinds: Sequence[Nuisance])
     """Solve for the nuisances of a log, from predicted and measured torque (N,) [N.m]."""
     if "level" not in kinds:
         return LogNuisances(offset=float(np.mean(tau - tau_predicted)))
-    columns = [tau_predicted, np.ones_like(tau_predicted)][: 2 if "offset" in kinds else 1]
+    columns = [tau_predicted]
+    if "offset" in kinds:
+        columns.append(np.ones_like(tau_predicted))
     solution = np.linalg.lstsq(np.column_stack(columns), tau, rcond=None)[0]
     level = float(np.clip(solution[0], _MIN_LEVEL, _MAX_LEVEL))
-    offset = float(np.mean(tau - level * tau_predicted)) if "offset" in kinds else 0.0
-    return LogNuisances(level=level, offset=offset)
+    if "offset" not in kinds:
+        return LogNuisances(level=level)
+    # Not that of the solution, whose level may be outside the limits.
+    return LogNuisances(level=level, offset=float(np.mean(tau - level * tau_predicted)))
 
 
 _NOISE_ROUNDS = 3  # of the estimate of the noise
@@ -163,11 +174,8 @@ def build_prior(models: Sequence[FrictionModel]) -> FrictionModel:
             )
     if len(models) == 1:
         return first_model
-    laws = [
-        _average_laws(joint_laws)
-        for joint_laws in zip(*(model.laws for model in models), strict=True)
-    ]
-    return replace(first_model, laws=tuple(laws))
+    laws_by_joint = zip(*[model.laws for model in models], strict=True)
+    return replace(first_model, laws=tuple(map(_average_laws, laws_by_joint)))
 
 
 def _describe_kind(model: FrictionModel) -> tuple[object, ...]:
@@ -175,23 +183,24 @@ def _describe_kind(model: FrictionModel) -> tuple[object, ...]:
 
 
 def _average_laws(laws: Sequence[FrictionLaw]) -> FrictionLaw:
+    """Return a law with the mean coefficients, and with their spread beside the mean covariance."""
     covariances = [law.covariance for law in laws if law.covariance is not None]
-    names = [
-        name
-        for name in covariances[0].names
-        if all(name in covariance.names for covariance in covariances)
-    ]
-    indices = [[covariance.names.index(name) for name in names] for covariance in covariances]
-    matrices = [
-        covariance.matrix[np.ix_(selected, selected)]
-        for covariance, selected in zip(covariances, indices, strict=True)
-    ]
-    values = np.array([[law.values[name] for name in names] for law in laws])
+    names = list(covariances[0].names)
+    for covariance in covariances[1:]:
+        names = [name for name in names if name in covariance.names]
+    matrices = []
+    for covariance in covariances:
+        indices = [covariance.names.index(name) for name in names]
+        matrices.append(covariance.matrix[np.ix_(indices, indices)])
+    points = []
+    for law in laws:
+        points.append([law.values[name] for name in names])
+    values = np.array(points)
     scatter = np.atleast_2d(np.cov(values, rowvar=False))
     mean = dict(zip(names, map(float, values.mean(axis=0)), strict=True))
-    return _replace_coefficients(
-        laws[0], mean, np.mean(matrices, axis=0) + (1.0 + 1.0 / len(laws)) * scatter
-    )
+    # A further day differs from the mean of K days by 1 + 1/K times the scatter of days.
+    further_scatter = (1.0 + 1.0 / len(laws)) * scatter
+    return _replace_coefficients(laws[0], mean, np.mean(matrices, axis=0) + further_scatter)
 
 
 def _replace_coefficients(
@@ -233,13 +242,13 @@ def adapt(
     errors = tuple(map(training_error, laws, transformed_records))
     seconds = sum(float(np.ptp(record.t)) for record in transformed_records[0])
     model = replace(prior_model, laws=tuple(laws), training_rmse=errors, left_out_rmse=())
-    return model, [
-        f"{joint}: error over {seconds:.3g} s {training_error(law, joint_records):.3g} -> "
-        f"{error:.3g}"
-        for joint, law, joint_records, error in zip(
-            joints, prior_model.laws, transformed_records, errors, strict=True
+    sentences = []
+    for j, joint in enumerate(joints):
+        prior_error = training_error(prior_model.laws[j], transformed_records[j])
+        sentences.append(
+            f"{joint}: error over {seconds:.3g} s {prior_error:.3g} -> {errors[j]:.3g}"
         )
-    ]
+    return model, sentences
 
 
 def _adapt_law(
@@ -254,17 +263,10 @@ def _adapt_law(
     names = tuple(limits)
     lower, upper = np.array(list(limits.values())).T
     prior_point = np.array([law.values[name] for name in names])
+    adapted = [covariance.names.index(name) for name in names]
     prior_covariance = covariance.of_another_log
     prior_deviations = np.sqrt(np.maximum(np.diag(prior_covariance), np.finfo(float).tiny))
-    eigenvalues, eigenvectors = np.linalg.eigh(
-        prior_covariance / np.outer(prior_deviations, prior_deviations)
-    )
-    root = (
-        eigenvectors / np.sqrt(np.maximum(eigenvalues, _MIN_RELATIVE_VARIANCE * eigenvalues[-1]))
-    ).T / prior_deviations  # root' root = P^-1
-    adapted = [covariance.names.index(name) for name in names]
-    root = root[:, adapted]
-    prior_deviations = prior_deviations[adapted]
+    root = _invert_to_root(prior_covariance, prior_deviations)[:, adapted]
 
     def build_law(point: Array) -> FrictionLaw:
         changed_values = dict(zip(names, map(float, point), strict=True))
@@ -288,36 +290,47 @@ def _adapt_law(
             residual,
             best,
             bounds=(lower, upper),
-            scale=prior_deviations,
+            scale=prior_deviations[adapted],
             magnitude=float(np.linalg.norm(tau) / noise),
             evaluations=20,
         )
         best = optimum.x
-    if prior_model.trained and certify(law, prior_model.trained[j]).verdict == "proven":
-        candidates = (prior_point + share * (best - prior_point) for share in _CHANGE_SHARES)
-        passive = (
-            candidate
-            for candidate in candidates
-            if certify(build_law(candidate), prior_model.trained[j]).verdict == "proven"
-        )
-        best = next(passive, prior_point)
+    if prior_model.trained and _is_proven(law, prior_model.trained[j]):
+        optimal_change = best - prior_point
+        best = prior_point
+        for share in _CHANGE_SHARES:
+            candidate = prior_point + share * optimal_change
+            if _is_proven(build_law(candidate), prior_model.trained[j]):
+                best = candidate
+                break
     adapted_values = dict(zip(names, map(float, best), strict=True))
-    return _replace_coefficients(
-        law, adapted_values, np.linalg.pinv(optimum.jac.T @ optimum.jac, hermitian=True)
-    )
+    posterior_covariance = np.linalg.pinv(optimum.jac.T @ optimum.jac, hermitian=True)
+    return _replace_coefficients(law, adapted_values, posterior_covariance)
+
+
+def _is_proven(law: FrictionLaw, trained_range: TrainedRange) -> bool:
+    return certify(law, trained_range).verdict == "proven"
+
+
+def _invert_to_root(covariance: Array, deviations: Array) -> Array:
+    """Return R with R' R = P^-1 for a covariance P and the roots of its diagonal.
+
+    Directions that P hardly knows have a least variance, so that the prior does not fix them.
+    """
+    eigenvalues, directions = np.linalg.eigh(covariance / np.outer(deviations, deviations))
+    variances = np.maximum(eigenvalues, _MIN_RELATIVE_VARIANCE * eigenvalues[-1])
+    return np.asarray((directions / np.sqrt(variances)).T / deviations)
 
 
 def _bound_coefficients(law: FrictionLaw, names: Sequence[str]) -> dict[str, tuple[float, float]]:
     """Return bounds of adapted coefficients: half to twice if nonlinear, else of the same sign."""
     form = law.form
     limits = {}
-    memory_symbols = set().union(
-        *(part.free_symbols for element in form.memory for part in element.parts)
-    )
-    zeros = {
-        DQ: 0,
-        **{state: 0 for element in form.memory for state in (element.state, element.derivative)},
-    }
+    memory_symbols = find_read_symbols(form.memory)
+    at_rest = {DQ: 0}
+    for element in form.memory:
+        at_rest[element.state] = 0
+        at_rest[element.derivative] = 0
     for name in names:
         symbol = sympy.Symbol(name, real=True)
         value = law.values[name]
@@ -326,19 +339,21 @@ def _bound_coefficients(law: FrictionLaw, names: Sequence[str]) -> dict[str, tup
             if set(law.structure) <= {"ripple"}:
                 lower, upper = sorted((value / _MAX_FACTOR, value * _MAX_FACTOR))
                 limits[name] = lower, upper
-        elif slope.subs(zeros) != 0:
+        elif slope.subs(at_rest) != 0:  # of a torque at rest, whose sign may change
             limits[name] = -np.inf, np.inf
+        elif value > 0.0:
+            limits[name] = 0.0, np.inf
         else:
-            limits[name] = (0.0, np.inf) if value > 0.0 else (-np.inf, 0.0)
+            limits[name] = -np.inf, 0.0
     return limits
 
 
 def _estimate_noise(residual: Array) -> float:
     """Return the standard deviation of independent errors that determine a mean as well."""
     power = float(residual @ residual)
-    autocorrelation = float(residual[1:] @ residual[:-1]) / power if power else 0.0
+    autocorrelation = 0.0
+    if power:
+        autocorrelation = float(residual[1:] @ residual[:-1]) / power
     autocorrelation = float(np.clip(autocorrelation, 0.0, _MAX_AUTOCORRELATION))
-    return (
-        rmse(residual) * float(np.sqrt((1.0 + autocorrelation) / (1.0 - autocorrelation)))
-        + _MIN_NOISE
-    )
+    widening = float(np.sqrt((1.0 + autocorrelation) / (1.0 - autocorrelation)))
+    return rmse(residual) * widening + _MIN_NOISE
