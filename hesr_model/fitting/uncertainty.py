@@ -22,7 +22,7 @@ from hesr_model.inference.covariance import (
     pool_covariances,
 )
 from hesr_model.rigid_body.friction_record import FrictionRecord
-from hesr_model.support.arrays import Array, Integers
+from hesr_model.support.arrays import Array, Integers, Mask
 
 MAX_COEFFICIENTS = 64  # coefficients of larger laws, networks, have no meaning
 _DIFFERENCE_STEP = 1e-6
@@ -48,68 +48,82 @@ def add_standard_errors(
     if len(law.values) > MAX_COEFFICIENTS:
         return law
     if space:
-        coordinates = _build_free_coordinates(
-            law, space.scale_to_joint(is_prismatic=joint_records[0].sliding)
-        )
+        joint_space = space.scale_to_joint(is_prismatic=joint_records[0].sliding)
+        coordinates = _build_free_coordinates(law, joint_space)
     else:
         coordinates = _build_all_coordinates(law)
     if not len(coordinates.point):
         return law
-    # Initial states are measured, so they are constant.
-    starts = [record_start(law, record) for record in joint_records]
-
-    def evaluate(point: Array) -> tuple[Array, Array]:
-        values = coordinates.values(point)
-        torque = _predict_records(replace(law, values=values), joint_records, starts)
-        return torque, np.array([values[name] for name in law.values])
-
-    jacobian, slope = _differentiate(evaluate, coordinates.point)
+    free_law = _FreeLaw(law, coordinates, joint_records)
+    jacobian, slope = _differentiate(free_law.evaluate, coordinates.point)
     is_used = np.abs(jacobian).max(axis=0) > _DERIVATIVE_ROUND_OFF
     if not np.any(is_used):
         return law
-    jacobian, slope = jacobian[:, is_used], slope[:, is_used]
-    tau_predicted = _predict_records(law, joint_records, starts)
+    jacobian = jacobian[:, is_used]
+    tau_predicted = free_law.predict(law)
     covariance = _estimate_covariance(
         np.flatnonzero(is_used), jacobian, tau_predicted, joint_records
     )
-    coefficient_slopes = dict(zip(law.values, slope, strict=True))
-    coefficient_slopes = {
-        name: derivative
-        for name, derivative in coefficient_slopes.items()
-        if np.any(derivative != 0.0)
-    }
+    coefficient_slopes = {}
+    for name, derivative in zip(law.values, slope[:, is_used], strict=True):
+        if np.any(derivative != 0.0):
+            coefficient_slopes[name] = derivative
+    slope_rows = np.array(list(coefficient_slopes.values()))
     law_with_covariance = replace(
-        law,
-        covariance=covariance.transform(
-            list(coefficient_slopes), np.array(list(coefficient_slopes.values()))
-        ),
+        law, covariance=covariance.transform(list(coefficient_slopes), slope_rows)
     )
-    if law.structure.keys() - {"limited"}:
+    if law.structure.keys() - {"limited"}:  # a structure that the data chose
         return _store_standard_errors(law_with_covariance, {})
     q, r = np.linalg.qr(jacobian)
+    widening = {}
+    for name, derivative in coefficient_slopes.items():
+        if name not in coordinates.held_names:
+            measure_change = partial(free_law.measure_change, name, is_used, tau_predicted)
+            widening[name] = measure_wider_side(derivative, covariance.matrix, q, r, measure_change)
+    return _store_standard_errors(law_with_covariance, widening)
 
-    def measure_change(index: int, step: Array) -> tuple[float, Array]:
-        point = coordinates.point.copy()
+
+class _FreeLaw:
+    """Torque and coefficients of a law on records as functions of its free numbers."""
+
+    def __init__(
+        self, law: FrictionLaw, coordinates: Coordinates, joint_records: Sequence[FrictionRecord]
+    ) -> None:
+        self._law = law
+        self._coordinates = coordinates
+        self._joint_records = joint_records
+        # Initial states are measured, so they are constant.
+        self._starts = [record_start(law, record) for record in joint_records]
+
+    def predict(self, law: FrictionLaw) -> Array:
+        """Return the torque (N,) [N.m] of a law with other coefficients."""
+        torques = []
+        for record, start in zip(self._joint_records, self._starts, strict=True):
+            torques.append(predict(law, **record.motion, start=start))
+        return np.concatenate(torques)
+
+    def evaluate(self, point: Array) -> tuple[Array, Array]:
+        """Return the torque (N,) [N.m] and all coefficients (M,) at a point (P,)."""
+        values = self._coordinates.values(point)
+        tau = self.predict(replace(self._law, values=values))
+        return tau, np.array([values[name] for name in self._law.values])
+
+    def measure_change(
+        self, name: str, is_used: Mask, tau_predicted: Array, step: Array
+    ) -> tuple[float, Array]:
+        """Return the changes of a coefficient and of the torque (N,) [N.m] by a step.
+
+        The `step` is one of the used free numbers; without a torque there, both changes are 0.
+        """
+        point = self._coordinates.point.copy()
         point[is_used] += step
         with np.errstate(all="ignore"):  # the law may be undefined there
             try:
-                moved_torque, values = evaluate(point)
+                tau, values = self.evaluate(point)
             except (ArtifactError, SimulationError):  # coefficients or Euler's steps are not finite
                 return 0.0, np.zeros_like(tau_predicted)
-        return values[index] - list(law.values.values())[index], moved_torque - tau_predicted
-
-    widening = {
-        name: measure_wider_side(
-            derivative,
-            covariance.matrix,
-            q,
-            r,
-            partial(measure_change, list(law.values).index(name)),
-        )
-        for name, derivative in coefficient_slopes.items()
-        if name not in coordinates.held_names
-    }
-    return _store_standard_errors(law_with_covariance, widening)
+        k = list(self._law.values).index(name)
+        return values[k] - self._law.values[name], tau - tau_predicted
 
 
 def _differentiate(
@@ -120,12 +134,15 @@ def _differentiate(
     steps = _DIFFERENCE_STEP * np.maximum(size, 1e-3)
     # Laws divide by some coefficients; none may become zero.
     steps = np.where(size > 0.0, np.minimum(steps, 0.5 * size), steps)
-    columns = []
+    first_columns = []
+    second_columns = []
     for step in np.diag(steps):
-        sides = zip(evaluate(point + step), evaluate(point - step), strict=True)
-        columns.append([(after - before) / (2.0 * step.sum()) for after, before in sides])
-    first, second = (np.stack(column_group, axis=1) for column_group in zip(*columns, strict=True))
-    return first, second
+        first_after, second_after = evaluate(point + step)
+        first_before, second_before = evaluate(point - step)
+        width = 2.0 * step.sum()
+        first_columns.append((first_after - first_before) / width)
+        second_columns.append((second_after - second_before) / width)
+    return np.stack(first_columns, axis=1), np.stack(second_columns, axis=1)
 
 
 def _estimate_covariance(
@@ -139,7 +156,9 @@ def _estimate_covariance(
     spreads = [
         record.tau_load_spread for record in joint_records if record.tau_load_spread is not None
     ]
-    carried = jacobian.T @ np.concatenate(spreads) if len(spreads) == len(joint_records) else None
+    carried = None
+    if len(spreads) == len(joint_records):
+        carried = jacobian.T @ np.concatenate(spreads)
     return covariance_of_fit(
         [str(k) for k in used_numbers], jacobian, residual, labels, carried=carried
     )
@@ -158,13 +177,12 @@ def pool_errors(laws: Sequence[FrictionLaw]) -> list[FrictionLaw]:
         unpooled_errors = dict(
             zip(law.covariance.names, law.covariance.standard_errors, strict=True)
         )
-        widening = {
-            name: error / unpooled_errors[name] if unpooled_errors[name] else 1.0
-            for name, error in law.standard_errors.items()
-        }
-        pooled_laws.append(
-            _store_standard_errors(replace(law, covariance=next(pooled_covariances)), widening)
-        )
+        widening = dict.fromkeys(law.standard_errors, 1.0)
+        for name, error in law.standard_errors.items():
+            if unpooled_errors[name]:
+                widening[name] = error / unpooled_errors[name]
+        pooled_law = replace(law, covariance=next(pooled_covariances))
+        pooled_laws.append(_store_standard_errors(pooled_law, widening))
     return pooled_laws
 
 
@@ -172,9 +190,8 @@ def _store_standard_errors(law: FrictionLaw, widening: Mapping[str, float]) -> F
     if law.covariance is None:
         return law
     errors = dict(zip(law.covariance.names, law.covariance.standard_errors, strict=True))
-    return replace(
-        law, standard_errors={name: float(errors[name]) * widening[name] for name in widening}
-    )
+    widened_errors = {name: float(errors[name]) * widening[name] for name in widening}
+    return replace(law, standard_errors=widened_errors)
 
 
 def measure_wider_side(
@@ -206,12 +223,12 @@ def measure_wider_side(
         remaining_square = (
             torque_change @ torque_change - projected @ projected + (normal @ projected / size) ** 2
         )
-        ratio = (
-            np.sqrt(remaining_square) * size / abs(coefficient_change)
-            if coefficient_change and remaining_square > 0.0
-            else 1.0
-        )
-        ratios.append(ratio if np.isfinite(ratio) else 1.0)
+        ratio = 1.0
+        if coefficient_change and remaining_square > 0.0:
+            ratio = float(np.sqrt(remaining_square) * size / abs(coefficient_change))
+        if not np.isfinite(ratio):
+            ratio = 1.0
+        ratios.append(ratio)
     return 1.0 / float(np.clip(min(ratios), _MIN_CHANGE_RATIO, 1.0))
 
 
@@ -230,27 +247,19 @@ def _build_all_coordinates(law: FrictionLaw) -> Coordinates:
 
 def _build_free_coordinates(law: FrictionLaw, space: SearchSpace) -> Coordinates:
     numbers = _find_unknowns(law.values, space)
-    names_at_bound = {
-        name for name, (lower, upper) in space.bounds if _is_at_end(numbers[name], lower, upper)
-    }
-    names_at_bound |= {
-        name for name in space.linear[: space.non_negative] if numbers[name] <= MIN_COEFFICIENT
-    }
+    names_at_bound = _find_names_at_bound(numbers, space)
     names = [name for name in numbers if name not in names_at_bound]
-    dependencies = [
-        (name, tuple(str(symbol) for symbol in expression.free_symbols))
-        for name, expression in space.values
-    ]
-    held_names = names_at_bound | {
-        name for name, sources in dependencies if names_at_bound & set(sources) or not sources
-    }
+    held_names = set(names_at_bound)
+    for name, expression in space.values:
+        source_names = {str(symbol) for symbol in expression.free_symbols}
+        if not source_names or names_at_bound & source_names:
+            held_names.add(name)
 
     def values(point: Array) -> dict[str, float]:
         known_values = numbers | dict(zip(names, map(float, point), strict=True))
         computed = _compile_values(space)(*(known_values[name] for name in numbers))
-        known_values |= dict(
-            zip((name for name, _ in space.values), map(float, computed), strict=True)
-        )
+        for (name, _), value in zip(space.values, computed, strict=True):
+            known_values[name] = float(value)
         return {name: known_values.get(name, value) for name, value in law.values.items()}
 
     return Coordinates(
@@ -260,28 +269,43 @@ def _build_free_coordinates(law: FrictionLaw, space: SearchSpace) -> Coordinates
     )
 
 
+def _find_names_at_bound(numbers: Mapping[str, float], space: SearchSpace) -> set[str]:
+    """Return the unknowns at a bound, and those that must not be negative and are 0."""
+    names = set()
+    for name, (lower, upper) in space.bounds:
+        if _is_at_end(numbers[name], lower, upper):
+            names.add(name)
+    for name in space.linear[: space.non_negative]:
+        if numbers[name] <= MIN_COEFFICIENT:
+            names.add(name)
+    return names
+
+
 def _is_at_end(number: float, lower: float, upper: float) -> bool:
-    scaled_number, ends = (
-        (np.log(number), np.log([lower, upper])) if lower > 0 else (number, (lower, upper))
-    )
-    margin = _BOUND_MARGIN * (ends[1] - ends[0])
-    return bool(scaled_number < ends[0] + margin or scaled_number > ends[1] - margin)
+    if lower > 0:  # searched by its logarithm
+        number = np.log(number)
+        lower, upper = np.log([lower, upper])
+    margin = _BOUND_MARGIN * (upper - lower)
+    return bool(number < lower + margin or number > upper - margin)
 
 
 def _find_unknowns(values: Mapping[str, float], space: SearchSpace) -> dict[str, float]:
+    """Return searched and solved numbers by name, from the coefficients of a law."""
     searched_names = (*space.names, *space.linear)
     numbers = {name: values[name] for name in searched_names if name in values}
     for name, expression in space.values:
         missing = [symbol for symbol in expression.free_symbols if symbol.name not in numbers]
-        if len(missing) == 1:
-            replacements = {
-                symbol: numbers[symbol.name]
-                for symbol in expression.free_symbols
-                if symbol.name in numbers
-            }
-            replacements[sympy.Symbol(name, real=True)] = values[name]
-            solution = _solve_expression(expression, name, missing[0]).subs(replacements)
-            numbers[missing[0].name] = float(solution) if solution.is_finite else 0.0
+        if len(missing) != 1:
+            continue
+        replacements = {
+            symbol: numbers[symbol.name]
+            for symbol in expression.free_symbols
+            if symbol.name in numbers
+        }
+        replacements[sympy.Symbol(name, real=True)] = values[name]
+        solution = _solve_expression(expression, name, missing[0]).subs(replacements)
+        # A ratio of coefficients that are 0 is not determined.
+        numbers[missing[0].name] = float(solution) if solution.is_finite else 0.0
     return {name: numbers[name] for name in searched_names}
 
 
@@ -298,12 +322,3 @@ def _compile_values(space: SearchSpace) -> Callable[..., Sequence[float]]:
         symbols, [expression for _, expression in space.values]
     )
     return compute_values
-
-
-def _predict_records(
-    law: FrictionLaw, joint_records: Sequence[FrictionRecord], starts: Sequence[tuple[float, ...]]
-) -> Array:
-    starting_records = zip(joint_records, starts, strict=True)
-    return np.concatenate(
-        [predict(law, **record.motion, start=start) for record, start in starting_records]
-    )
