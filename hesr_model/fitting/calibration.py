@@ -30,13 +30,15 @@ MIN_RESTS = 10  # minimum for the width at rest
 _MIN_REST_DURATION = 0.5  # [s] minimum duration of a rest
 _TAIL_LEVELS = (0.8, 0.9, 0.98)  # quantiles that determine the tail, in addition to 95 %
 _TAIL_RANGE = (0.4, 1.2)  # of the exponent
-_DIFFERENCE_STEP = 1e-6
+_DIFFERENCE_STEP = 1e-6  # relative
+_MIN_COEFFICIENT_SIZE = 1e-3  # [its unit] for the step of a small coefficient
 _MIN_RELATIVE_VARIANCE = 1e-10  # relative variance of directions that were not free
 _SHARE_ROUNDS = 100
 _MAX_SHARE_ROWS = 4000  # rows for the shares; quantiles use all
 _TINY_VARIANCE = 1e-30
 _MIN_LEFT_OUT_ROWS = 100  # for a quantile of 95 %
 _SIZE_NAMES = ("floor", "slow", "rest", "fast", "load")  # in the order of `shapes`
+_REST_COLUMN = _SIZE_NAMES.index("rest")
 
 
 def calibrate_band(
@@ -46,10 +48,8 @@ def calibrate_band(
     errors, predicted_variance = _cross_validate_band(law, joint_records)
     if not np.all(np.isfinite(errors) & np.isfinite(predicted_variance)):
         return law, None
-    dq, tau_load = (
-        np.concatenate([getattr(record, name) for record in joint_records])
-        for name in ("dq", "tau_load")
-    )
+    dq = np.concatenate([record.dq for record in joint_records])
+    tau_load = np.concatenate([record.tau_load for record in joint_records])
     resting_speed = find_resting_speed(joint_records)
     rest_count = sum(_count_rests(record, resting_speed) for record in joint_records)
     has_rests = rest_count >= MIN_RESTS
@@ -57,30 +57,26 @@ def calibrate_band(
     squares = errors[share_rows] ** 2
     rest_speed = find_rest_speed(law.form.steady_speed)
     slow_speeds = [speed * (rest_speed / REST) for speed in SLOW_SPEEDS]
-    best = (np.inf, slow_speeds[0], np.zeros(5))
+    slow_speed = slow_speeds[0]
+    shares = np.zeros(len(_SIZE_NAMES))
+    lowest_loss = np.inf
     for speed in slow_speeds:
         columns = np.stack(shapes(dq[share_rows], tau_load[share_rows], speed, rest_speed), axis=1)
         if not has_rests:
-            columns[:, 2] = 0.0
-        coefficient_shares = fit_variance_shares(
-            columns, predicted_variance[share_rows], np.zeros_like(squares)
-        )
-        shares = coefficient_shares + fit_variance_shares(
-            columns, squares, columns @ coefficient_shares
-        )
-        variance = columns @ shares + _TINY_VARIANCE
-        loss = float(np.mean(np.log(variance) + squares / variance))
-        if loss < best[0]:
-            best = (loss, speed, shares)
-    _, speed, shares = best
-    variance = np.stack(shapes(dq, tau_load, speed, rest_speed), axis=1) @ shares
+            columns[:, _REST_COLUMN] = 0.0
+        candidate_shares, loss = _fit_total_shares(columns, squares, predicted_variance[share_rows])
+        if loss < lowest_loss:
+            slow_speed = speed
+            shares = candidate_shares
+            lowest_loss = loss
+    variance = np.stack(shapes(dq, tau_load, slow_speed, rest_speed), axis=1) @ shares
     standardised = np.abs(errors) / np.sqrt(variance + _TINY_VARIANCE)
     level_quantile = float(np.quantile(standardised, LEVEL))
     floor, slow, rest_width, fast, load_share = map(float, level_quantile * np.sqrt(shares))
     band = Band(
         floor=floor,
         slow=slow,
-        slow_speed=speed,
+        slow_speed=slow_speed,
         rest=rest_width,
         fast=fast,
         load=load_share,
@@ -88,6 +84,22 @@ def calibrate_band(
         envelope=0.0 if has_rests else 1.0,
     )
     return replace(law, band=band), float(np.sqrt(np.mean(errors**2)))
+
+
+def _fit_total_shares(
+    columns: Array, squares: Array, predicted_variance: Array
+) -> tuple[Array, float]:
+    """Return shares of shapes (N, B) in the variance of errors, and their loss.
+
+    First the shapes follow the variance of the coefficients, (N,), then they add what squared
+    errors, (N,), exceed it by. The loss is the mean of twice the negative logarithm of the
+    likelihood of normal errors, without its constant.
+    """
+    coefficient_shares = fit_variance_shares(columns, predicted_variance, np.zeros_like(squares))
+    noise_shares = fit_variance_shares(columns, squares, columns @ coefficient_shares)
+    shares = coefficient_shares + noise_shares
+    variance = columns @ shares + _TINY_VARIANCE
+    return shares, float(np.mean(np.log(variance) + squares / variance))
 
 
 def recalibrate_band(
@@ -123,9 +135,8 @@ def _cross_validate_band(
     law: FrictionLaw, joint_records: Sequence[FrictionRecord]
 ) -> tuple[Array, Array]:
     """Return the (N,) errors of fits without the row's log, and their predicted variance."""
-    errors = np.concatenate([record.tau for record in joint_records]) - _predict_records(
-        law, joint_records
-    )
+    tau = np.concatenate([record.tau for record in joint_records])
+    errors = tau - _predict_records(law, joint_records)
     if law.covariance is None:
         return errors, np.zeros_like(errors)
     jacobian = _compute_sensitivities(law, joint_records)
@@ -153,15 +164,13 @@ def _compute_sensitivities(law: FrictionLaw, joint_records: Sequence[FrictionRec
     columns = []
     for name in covariance.names:
         coefficient = law.values[name]
-        step = (
-            min(_DIFFERENCE_STEP * max(abs(coefficient), 1e-3), 0.5 * abs(coefficient))
-            if coefficient
-            else _DIFFERENCE_STEP * 1e-3
-        )
-        after, before = (
-            _predict_records(replace(law, values={**law.values, name: changed}), joint_records)
-            for changed in (coefficient + step, coefficient - step)
-        )
+        step = _DIFFERENCE_STEP * max(abs(coefficient), _MIN_COEFFICIENT_SIZE)
+        if coefficient:  # laws divide by some; none may become zero
+            step = min(step, 0.5 * abs(coefficient))
+        higher_law = replace(law, values={**law.values, name: coefficient + step})
+        lower_law = replace(law, values={**law.values, name: coefficient - step})
+        after = _predict_records(higher_law, joint_records)
+        before = _predict_records(lower_law, joint_records)
         columns.append((after - before) / (2.0 * step))
     return np.asarray(np.stack(columns, axis=1) @ directions)
 
@@ -173,10 +182,12 @@ def _predict_records(law: FrictionLaw, joint_records: Sequence[FrictionRecord]) 
 def fit_variance_shares(columns: Array, squares: Array, known_variance: Array) -> Array:
     """Return non-negative shares (B,) of shapes (N, B) in variance beyond `known_variance` (N,)."""
     mean = columns.mean(axis=0)
-    shares = np.where(
-        mean > 0.0, squares.mean() / (columns.shape[1] * np.maximum(mean, _TINY_VARIANCE)), 0.0
-    )
-    for _ in range(_SHARE_ROUNDS if squares.any() else 0):
+    # Start from equal parts of the mean square; the steps keep shares positive.
+    equal_parts = squares.mean() / (columns.shape[1] * np.maximum(mean, _TINY_VARIANCE))
+    shares = np.where(mean > 0.0, equal_parts, 0.0)
+    if not squares.any():
+        return np.asarray(shares)
+    for _ in range(_SHARE_ROUNDS):
         variance = columns @ shares + known_variance + _TINY_VARIANCE
         gain = columns.T @ (squares / variance**2)
         cost = columns.T @ (1.0 / variance)
