@@ -16,6 +16,7 @@ from hesr_model.fitting.days import (
     remove_nuisances,
 )
 from hesr_model.fitting.fit import load_or_fit
+from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.inference.choice import PLAIN
 from hesr_model.inference.folds import Fold, thin
@@ -78,27 +79,26 @@ def judge_laws(
     per_log : quantities that differ by log; those of judged rows are fitted to them.
     options, variants, seed, checkpoints, workers : see `fit.fit_models`.
     """
-    fold_data = [
-        _collect_fold(motions, robot, fold, body) for fold, body in zip(folds, bodies, strict=True)
-    ]
+    fold_data = []
+    for fold, body in zip(folds, bodies, strict=True):
+        fold_data.append(_collect_fold(motions, robot, fold, body))
     jobs = []
     labels = []
     with scratch_folder() as folder:
         for law_name in laws:
             for number, data in enumerate(fold_data):
-                jobs.append(
-                    partial(
-                        _judge_law,
-                        law_name,
-                        (variants or {}).get(law_name, law_name),
-                        data,
-                        seed=seed,
-                        options=(options or {}).get(law_name),
-                        per_log=tuple(per_log),
-                        checkpoints=checkpoints,
-                        progress=folder / f"{law_name}.{number}",
-                    )
+                job = partial(
+                    _judge_law,
+                    law_name,
+                    (variants or {}).get(law_name, law_name),
+                    data,
+                    seed=seed,
+                    options=(options or {}).get(law_name),
+                    per_log=tuple(per_log),
+                    checkpoints=checkpoints,
+                    progress=folder / f"{law_name}.{number}",
                 )
+                jobs.append(job)
                 labels.append(f"{law_name}, fold {number + 1}")
         with parallel.results_of(jobs, workers, names=labels) as results:
             judged = {label: next(results) for label in report_progress(labels, progress)}
@@ -112,7 +112,8 @@ def _collect_fold(
     records = [motion_records(thin(piece), robot, body) for piece in fold.training]
     judged_logs = [k for k, rows in enumerate(fold.judged) if rows.any()]
     training = [list(joint_records) for joint_records in zip(*records, strict=True)]
-    training = transform_all_records(training) if training else []
+    if training:
+        training = transform_all_records(training)
     can_judge = [_can_judge(joint_records) for joint_records in training]
     return _FoldData(
         training=training,
@@ -155,8 +156,9 @@ def _judge_law(
         if per_log:
             records = remove_nuisances(records, estimate_nuisances(records, per_log))
         # A joint that tells no laws apart is not judged, but must not hide the others.
+        joint_law_name = estimator_name if can_judge else PLAIN
         law = load_or_fit(
-            estimator_name if can_judge else PLAIN,
+            joint_law_name,
             records,
             checkpoints=checkpoints,
             progress=progress,
@@ -166,23 +168,31 @@ def _judge_law(
         if isinstance(law, FitError):
             return law
         laws.append(law)
+    model = _build_fold_model(law_name, laws, data)
+    errors = []
+    try:
+        for log_records, rows in zip(data.judged_records, data.judged_rows, strict=True):
+            errors.append(_predict_errors(model, log_records, rows, per_log))
+    except SimulationError as error:
+        return FitError(f"law '{law_name}': without a fold {error}")
+    return errors
+
+
+def _build_fold_model(law_name: str, laws: Sequence[FrictionLaw], data: _FoldData) -> FrictionModel:
+    """Return the model of the laws [joint] that were fitted to the training part of a fold."""
     first_records = [joint_records[0] for joint_records in data.training]
-    model = FrictionModel(
+    coupling = None
+    if data.judged_records:
+        coupling = data.judged_records[0][0].coupling
+    return FrictionModel(
         law=law_name,
         robot="robot",
         joints=tuple(record.joint for record in first_records),
         laws=tuple(laws),
         sliding=tuple(record.sliding for record in first_records),
-        coupling=data.judged_records[0][0].coupling if data.judged_records else None,
+        coupling=coupling,
         sample_time=float(np.median(np.diff(first_records[0].t))),
     )
-    try:
-        return [
-            _predict_errors(model, log_records, rows, per_log)
-            for log_records, rows in zip(data.judged_records, data.judged_rows, strict=True)
-        ]
-    except SimulationError as error:
-        return FitError(f"law '{law_name}': without a fold {error}")
 
 
 def _predict_errors(
@@ -213,28 +223,24 @@ def _assemble(
 ) -> LeftOutErrors:
     coupling = robot.description.coupling
     joint_errors: dict[str, tuple[Array, ...]] = {}
+    errors: dict[str, tuple[Array, ...]] = {}  # at friction coordinates
     failed: dict[str, str] = {}
     for law_name in laws:
         results = [judged[f"{law_name}, fold {number + 1}"] for number in range(len(folds))]
-        fit_errors = [result for result in results if isinstance(result, FitError)]
-        if fit_errors:
-            failed[law_name] = str(fit_errors[0])
+        law_errors = _collect_errors(results, fold_data, motions, robot.n)
+        if isinstance(law_errors, FitError):
+            failed[law_name] = str(law_errors)
             continue
-        errors = [np.full((len(motion.t), robot.n), np.nan) for motion in motions]
-        for data, result in zip(fold_data, results, strict=True):
-            assert not isinstance(result, FitError)
-            for k, rows, values in zip(data.judged_logs, data.judged_rows, result, strict=True):
-                errors[k][rows] = values
-        joint_errors[law_name] = tuple(errors)
+        joint_errors[law_name] = law_errors
+        errors[law_name] = law_errors
+        if coupling:
+            errors[law_name] = tuple(map(coupling.torque, law_errors))
     return LeftOutErrors(
         joints=robot.description.joints,
         t=tuple(motion.t for motion in motions),
         log_names=tuple(motion.name for motion in motions),
         fold_of_row=tuple(_number_folds(folds, k) for k in range(len(motions))),
-        errors={
-            law_name: tuple(coupling.torque(e) for e in law_errors) if coupling else law_errors
-            for law_name, law_errors in joint_errors.items()
-        },
+        errors=errors,
         joint_errors=joint_errors,
         tau=_collect_signal("tau", fold_data, motions, robot.n),
         dq=_collect_signal("dq", fold_data, motions, robot.n),
@@ -242,6 +248,25 @@ def _assemble(
         counts=np.array([data.can_judge for data in fold_data]),
         failed=failed,
     )
+
+
+def _collect_errors(
+    results: Sequence[list[Array] | FitError],
+    fold_data: Sequence[_FoldData],
+    motions: Sequence[Motion],
+    n: int,
+) -> tuple[Array, ...] | FitError:
+    """Return the errors (N, n) [N.m] of a law by log, NaN where not judged, or its first failure.
+
+    `results` are those of each fold, by judged log.
+    """
+    errors = tuple(np.full((len(motion.t), n), np.nan) for motion in motions)
+    for data, result in zip(fold_data, results, strict=True):
+        if isinstance(result, FitError):
+            return result
+        for k, rows, values in zip(data.judged_logs, data.judged_rows, result, strict=True):
+            errors[k][rows] = values
+    return errors
 
 
 def _number_folds(folds: Sequence[Fold], log: int) -> Integers:
