@@ -49,7 +49,9 @@ class DeclarativeEstimator(Estimator):
     @classmethod
     def form(cls, structure: Mapping[str, Any]) -> LawForm:
         """Return the expressions of a structure; {"ripple": ...} adds harmonics."""
-        extra_keys = ("ripple", *("limited",) * cls.limited)
+        extra_keys = ["ripple"]
+        if cls.limited:
+            extra_keys.append("limited")
         core = cls.core({key: value for key, value in structure.items() if key not in extra_keys})
         if cls.limited and structure.get("limited"):
             replacements = {TAU_LOAD: clip(TAU_LOAD, LARGEST_LOAD.symbol)}
@@ -74,16 +76,13 @@ class DeclarativeEstimator(Estimator):
             numbers = problem.name_numbers(point)
             space = waves.extend_space(problem.space)
             problem = Separable(waves.extend(problem.form), space, rows)
-            point = min(
-                (
-                    problem.polish_from_corners(problem.point(numbers | start_times))
-                    for start_times in ripple.starts(times)
-                ),
-                key=lambda trial: problem.solve(trial)[1],
-            )
-        law = replace(
-            problem.law(point, self.name, full_structure), start_samples=self.start_samples
-        )
+            trials = []
+            for start_times in ripple.starts(times):
+                start = problem.point(numbers | start_times)
+                trials.append(problem.polish_from_corners(start))
+            point = min(trials, key=lambda trial: problem.solve(trial)[1])
+        law = problem.law(point, self.name, full_structure)
+        law = replace(law, start_samples=self.start_samples)
         if not self.limited:
             return law
         # No training row is at the kink.
@@ -126,7 +125,9 @@ class OneForm(DeclarativeEstimator):
     def build_fitted_space(self, law: FrictionLaw) -> SearchSpace:
         """Return the search space of a fitted law, with its ripple."""
         waves = law.structure.get("ripple")
-        return Ripple.from_structure(waves).extend_space(self.space()) if waves else self.space()
+        if not waves:
+            return self.space()
+        return Ripple.from_structure(waves).extend_space(self.space())
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Search the non-linear coefficients (seeded by `rng`) and solve the linear ones."""

@@ -136,7 +136,9 @@ def _find_module(law_name: str, module: str) -> str | None:
         return _REGISTRY[law_name].__module__
     # Installed laws are imported on use. That of a module may just be on its way.
     plugin = plugins.load(GROUP).get(law_name)
-    return plugin.entry.value if plugin and module == _NOTEBOOK else None
+    if plugin and module == _NOTEBOOK:
+        return plugin.entry.value
+    return None
 
 
 def to_law_name(law: str | type[Estimator]) -> str:
@@ -165,7 +167,9 @@ def is_of_session(law_name: str) -> bool:
 def _carry_laws() -> "partial[None] | None":
     """Return the job that registers the laws of this session in a worker."""
     laws = [law for law_name, law in _REGISTRY.items() if is_of_session(law_name)]
-    return partial(_register_carried, laws) if laws else None
+    if not laws:
+        return None
+    return partial(_register_carried, laws)
 
 
 def _register_carried(laws: Sequence[type[Estimator]]) -> None:

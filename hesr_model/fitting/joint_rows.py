@@ -57,19 +57,16 @@ class JointRows:
                 "needed."
             )
         require_reversals(joint_records)
-        begins = np.concatenate([np.arange(len(record.t)) == 0 for record in joint_records])
-        log_of_row = log_of_rows(joint_records)
-        signals = ("dq", "q", "tau_load", "tau")
         return cls(
             dt=np.concatenate([np.diff(record.t, prepend=record.t[0]) for record in joint_records]),
-            begins=begins,
-            log_index=log_of_row,
+            begins=np.concatenate([np.arange(len(record.t)) == 0 for record in joint_records]),
+            log_index=log_of_rows(joint_records),
+            dq=np.concatenate([record.dq for record in joint_records]),
+            q=np.concatenate([record.q for record in joint_records]),
+            tau_load=np.concatenate([record.tau_load for record in joint_records]),
+            tau=np.concatenate([record.tau for record in joint_records]),
             gear_ratio=joint_records[0].gear_ratio,
             sliding=joint_records[0].sliding,
-            **{
-                name: np.concatenate([getattr(record, name) for record in joint_records])
-                for name in signals
-            },
         )
 
     @cached_property
@@ -89,17 +86,17 @@ _settling_share = to_numpy_function((DQ,), (SETTLING,))
 def log_of_rows(joint_records: Sequence[FrictionRecord]) -> Integers:
     """Return the (N,) index of each row's log."""
     log_names = list(dict.fromkeys(record.log for record in joint_records))
-    return np.repeat(
-        [log_names.index(record.log) for record in joint_records],
-        [len(record.t) for record in joint_records],
-    )
+    log_of_record = [log_names.index(record.log) for record in joint_records]
+    row_counts = [len(record.t) for record in joint_records]
+    return np.repeat(log_of_record, row_counts)
 
 
 def to_slice(is_selected: Mask) -> Mask | slice:
     """Return a mask (N,) as a slice if its rows are consecutive; slices do not copy."""
     indices = np.flatnonzero(is_selected)
-    is_consecutive = len(indices) and indices[-1] - indices[0] + 1 == len(indices)
-    return slice(int(indices[0]), int(indices[-1]) + 1) if is_consecutive else is_selected
+    if not len(indices) or indices[-1] - indices[0] + 1 != len(indices):
+        return is_selected
+    return slice(int(indices[0]), int(indices[-1]) + 1)
 
 
 def least_squares(columns: Array, target: Array) -> Array:
@@ -165,16 +162,17 @@ class NormalEquations:
         column_ends = np.cumsum([0, *(block.shape[1] for block in blocks)])
         self._places = [slice(a, b) for a, b in pairwise(column_ends)]
         fold_count = len(products.folds)
-        self._grams, self._moments = (
-            np.empty((fold_count, column_ends[-1], *shape)) for shape in ((column_ends[-1],), ())
-        )
+        column_count = column_ends[-1]
+        self._grams = np.empty((fold_count, column_count, column_count))
+        self._moments = np.empty((fold_count, column_count))
         for i, a in enumerate(self._places):
             self._moments[:, a] = products.multiply_blocks(blocks[i], products.tau)[:, :, 0]
             for j, b in enumerate(self._places[: i + 1]):
                 product = products.multiply_blocks(blocks[i], blocks[j])
                 self._grams[:, a, b] = product
                 self._grams[:, b, a] = product.swapaxes(1, 2)
-        self.gram, self.moment = self._grams.sum(axis=0), self._moments.sum(axis=0)
+        self.gram = self._grams.sum(axis=0)
+        self.moment = self._moments.sum(axis=0)
 
     def solve(self) -> Array:
         """Return the (K,) coefficients for all rows."""
@@ -207,7 +205,8 @@ class FoldProducts:
         """Return (folds, k, l) products of two blocks (N, k) and (N, l)."""
         key = id(a), id(b)
         if key not in self._cache:
-            self._cache[key] = a, b, np.array([a[fold].T @ b[fold] for fold in self.folds])
+            products = np.array([a[fold].T @ b[fold] for fold in self.folds])
+            self._cache[key] = (a, b, products)
         return self._cache[key][2]
 
 
@@ -226,12 +225,9 @@ def signed_least_squares(gram: Array, moment: Array, free: int) -> Array:
         g[:signed_count, :signed_count] - g[:signed_count, signed_count:] @ coupling_part
     )
     target = np.linalg.solve(root, m[:signed_count] - g[:signed_count, signed_count:] @ free_part)
-    # With no unknowns SciPy's nnls aborts the process.
-    x = (
-        scipy.optimize.nnls(root.T, target, maxiter=100 * len(scale))[0]
-        if signed_count
-        else np.zeros(0)
-    )
+    x = np.zeros(0)
+    if signed_count:  # with no unknowns SciPy's nnls aborts the process
+        x, _ = scipy.optimize.nnls(root.T, target, maxiter=100 * len(scale))
     return np.asarray(np.concatenate([x, free_part - coupling_part @ x]) * scale)
 
 

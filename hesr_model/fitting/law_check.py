@@ -1,7 +1,7 @@
 """Checks of the search space of a law's class: a sentence for each mistake, with its attribute."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 from math import isfinite
 from typing import NoReturn
@@ -85,25 +85,35 @@ def _require_numbers(law_name: str, space: SearchSpace) -> None:
 
 def _require_linear(law_name: str, form: LawForm, space: SearchSpace) -> None:
     replacements = dict(_read_values(space))
-    output = sympy.expand_mul(form.output.xreplace(replacements))
     linear_symbols = [sympy.Symbol(name, real=True) for name in space.linear]
-    slopes = [sympy.diff(output, symbol) for symbol in linear_symbols]
-    parts = [part.xreplace(replacements) for element in form.memory for part in element.parts]
+    memory_symbols = set()
+    for element in form.memory:
+        for part in element.parts:
+            memory_symbols |= part.xreplace(replacements).free_symbols
     for symbol in linear_symbols:
-        if any(symbol in part.free_symbols for part in parts):
+        if symbol in memory_symbols:
             reason = f"names '{symbol}', which is in the memory; search it within 'bounds'"
             refuse_class(law_name, "space.linear", reason, "linear")
-    # First what is bent in itself: of a product of two either may be searched.
-    slope_of = dict(zip(linear_symbols, slopes, strict=True))
-    bent = [symbol for symbol, slope in slope_of.items() if slope.has(symbol)]
-    multiplied = [symbol for symbol in linear_symbols if any(slope.has(symbol) for slope in slopes)]
-    for symbol in (*bent, *multiplied):
+    output = sympy.expand_mul(form.output.xreplace(replacements))
+    for symbol in _find_nonlinear(output, linear_symbols):
         reason = f"names '{symbol}', but the output is not linear in it; search it within 'bounds'"
         refuse_class(law_name, "space.linear", reason, "linear")
     offset = output.xreplace(dict.fromkeys(linear_symbols, sympy.S.Zero))
     if offset != 0:
         reason = f"leaves out a part of the output: {offset} has no coefficient of 'linear'"
         refuse_class(law_name, "space.linear", reason, "offset")
+
+
+def _find_nonlinear(output: sympy.Expr, symbols: Sequence[sympy.Symbol]) -> list[sympy.Symbol]:
+    """Return the symbols in which an output is not linear.
+
+    First come those that are bent in themselves: of a product of two either may be searched.
+    """
+    slopes = [sympy.diff(output, symbol) for symbol in symbols]
+    bent = [symbol for symbol, slope in zip(symbols, slopes, strict=True) if slope.has(symbol)]
+    all_slopes = sympy.Tuple(*slopes)
+    multiplied = [symbol for symbol in symbols if all_slopes.has(symbol)]
+    return [*bent, *multiplied]
 
 
 def _list_samples(space: SearchSpace) -> Iterator[Numbers]:
@@ -155,7 +165,7 @@ def _evaluate(expression: sympy.Expr, samples: list[Numbers]) -> Array:
     values = []
     for numbers in samples:
         value = expression.xreplace(dict(numbers)).doit().evalf()
-        if value.is_number and value.is_finite and value.is_real:
-            values.append(float(value))
-    # Rates with states have values only along a motion.
-    return np.array(values if len(values) == len(samples) else [], dtype=float)
+        if not (value.is_number and value.is_finite and value.is_real):
+            return np.zeros(0)  # rates with states have values only along a motion
+        values.append(float(value))
+    return np.array(values, dtype=float)

@@ -45,7 +45,9 @@ def search_locally(
         return last_residual
 
     def slopes(point: Array) -> Array:
-        base_residual = last_residual if np.array_equal(point, last_point) else residual(point)
+        base_residual = last_residual
+        if not np.array_equal(point, last_point):
+            base_residual = residual(point)
         columns = np.zeros((len(base_residual), len(point)))
         for k, step in enumerate(_RELATIVE_STEP * scale):
             moved_point = point.copy()

@@ -73,9 +73,12 @@ def find_motion_scale(joint_records: Sequence[FrictionRecord]) -> float:
 
 def scale_motion(record: FrictionRecord, scale: float) -> FrictionRecord:
     """Return a record whose positions and velocities are multiplied by `scale`."""
-    causal = None if record.dq_causal is None else scale * record.dq_causal
-    # The motor turns as far as before.
-    gear_ratio = None if record.gear_ratio is None else record.gear_ratio / scale
+    causal = record.dq_causal
+    if causal is not None:
+        causal = scale * causal
+    gear_ratio = record.gear_ratio
+    if gear_ratio is not None:
+        gear_ratio = gear_ratio / scale  # the motor turns as far as before
     return replace(
         record,
         q=scale * record.q,
@@ -96,10 +99,9 @@ def unscale_law(law: FrictionLaw, scale: float) -> FrictionLaw:
     factors = {
         quantity.name: scale ** -find_length_power(quantity.unit) for quantity in form.coefficients
     }
-    start = [
-        scale ** -find_length_power(element.unit) * value
-        for element, value in zip(form.memory, law.start, strict=True)
-    ]
+    start = []
+    for element, value in zip(form.memory, law.start, strict=True):
+        start.append(scale ** -find_length_power(element.unit) * value)
     covariance = law.covariance
     if covariance is not None:
         slopes = np.diag([factors[name] for name in covariance.names])

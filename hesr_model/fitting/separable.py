@@ -10,7 +10,7 @@ import scipy
 import sympy
 
 from hesr_model.equations.kernel import Kernel, KernelRun
-from hesr_model.equations.memory import Discretisation
+from hesr_model.equations.memory import Discretisation, find_read_symbols
 from hesr_model.fitting.joint_rows import (
     JointRows,
     find_first_best,
@@ -50,15 +50,14 @@ class SearchSpace:
 
     def scale_to_joint(self, *, is_prismatic: bool) -> Self:
         """Return the space of a joint, whose lengths in m may be a hundredth of those in rad."""
-        scales = {
-            name: FINEST_SCALE if is_prismatic and name in _LENGTHS else 1.0 for name in self.names
-        }
-        return replace(
-            self,
-            bounds=tuple(
-                (name, (scales[name] * lower, upper)) for name, (lower, upper) in self.bounds
-            ),
-        )
+        if not is_prismatic:
+            return self
+        bounds = []
+        for name, (lower, upper) in self.bounds:
+            if name in _LENGTHS:
+                lower *= FINEST_SCALE
+            bounds.append((name, (lower, upper)))
+        return replace(self, bounds=tuple(bounds))
 
 
 FINEST_SCALE = 0.01  # smallest scale of a sliding joint's lengths
@@ -172,7 +171,9 @@ class Separable:
         if solution is not None:
             return np.asarray(self._run.results @ solution[0] - tau)
         columns = self._run.results
-        row_weights = np.ones_like(tau) if weights is None else weights
+        row_weights = weights
+        if row_weights is None:
+            row_weights = np.ones_like(tau)
         x, _ = non_negative_least_squares(
             row_weights[:, None] * columns, row_weights * tau, non_negative=non_negative
         )
@@ -205,14 +206,17 @@ class Separable:
         """
         if not len(self.bounds):
             return point
-        weights = None if is_used is None else is_used.astype(float)
+        weights = None
+        used_rows: Mask | slice = slice(None)
+        if is_used is not None:
+            weights = is_used.astype(float)
+            used_rows = is_used
 
         def residual(trial: Array) -> Array:
-            residuals = self._residual(trial, weights)
-            return residuals if is_used is None else residuals[is_used]
+            return self._residual(trial, weights)[used_rows]
 
         lower, upper = self.bounds.T
-        tau = self.rows.tau if is_used is None else self.rows.tau[is_used]
+        tau = self.rows.tau[used_rows]
         result = search_locally(
             residual,
             point,
@@ -231,8 +235,9 @@ class Separable:
         """
         point = self.polish(point, evaluations=40)
         cost = self.solve(point)[1]
-        corners = [point, *self._vary(point, cost, 2)]
-        starts = [start for corner in corners for start in self._vary(corner, cost, _WEAK_VALUES)]
+        starts = []
+        for corner in (point, *self._vary(point, cost, 2)):
+            starts += self._vary(corner, cost, _WEAK_VALUES)
         points = [point, *(self.polish(start, evaluations=40) for start in starts)]
         return points[find_first_best([self.solve(candidate)[1] for candidate in points])]
 
@@ -253,13 +258,12 @@ class Separable:
 
     def values(self, point: Array, unknowns: Array) -> dict[str, float]:
         """Return all coefficients of the form by name, from a point and the unknowns of `solve`."""
-        known_values = self.name_numbers(point) | dict(
-            zip(self.space.linear, unknowns, strict=True)
-        )
+        known_values = self.name_numbers(point)
+        known_values |= zip(self.space.linear, unknowns, strict=True)
         # Ratios of coefficients that are multiples of 0 would be 0 / 0.
-        divisor_names = {
-            symbol.name for _, expression in self.space.values for symbol in expression.free_symbols
-        }
+        divisor_names = set()
+        for _, expression in self.space.values:
+            divisor_names |= {symbol.name for symbol in expression.free_symbols}
         for name in divisor_names & set(self.space.linear[: self.space.non_negative]):
             known_values[name] = max(known_values[name], MIN_COEFFICIENT)
         symbols = {sympy.Symbol(name, real=True): value for name, value in known_values.items()}
@@ -307,10 +311,10 @@ def _build_kernel(form: LawForm, space: SearchSpace) -> Kernel:
     output = sympy.expand_mul(form.output.xreplace(replacements))
     columns = tuple(sympy.diff(output, symbol) for symbol in linear_symbols)
     constant_torque = output.xreplace(dict.fromkeys(linear_symbols, sympy.Integer(0)))
-    parts = (part for element in memory for part in element.parts)
-    nonlinear_symbols = set(linear_symbols) & set().union(
-        *(expression.free_symbols for expression in (*parts, *columns))
-    )
+    read_symbols = find_read_symbols(memory)
+    for column in columns:
+        read_symbols |= column.free_symbols
+    nonlinear_symbols = set(linear_symbols) & read_symbols
     if nonlinear_symbols or constant_torque != 0:
         raise ValueError(
             f"not linear in {sorted(map(str, nonlinear_symbols)) or 'an offset'}: {output}"
