@@ -75,27 +75,18 @@ def refine(
     """
     records = [motion_records(motion, robot, body) for motion in motions]
     window_sets = [simulation.cut_windows(records, SHORT_WINDOW)]
+    is_weightless = simulation.is_weightless(records, robot, body)
     longest_duration = max(
         float(joint_records[0].t[-1] - joint_records[0].t[0]) for joint_records in records
     )
-    is_weightless = simulation.is_weightless(records, robot, body)
     if is_weightless and longest_duration >= simulation.RUN_IN + 4.0 * LONG_WINDOW:
         window_sets.append(simulation.cut_windows(records, LONG_WINDOW))
     problem = _Problem(robot, body, model, motions, records, window_sets, with_body=with_body)
-    halves = [problem.select_blocks(k) for k in range(2)]
-    before = after = np.full((len(window_sets), robot.n), np.nan)
-    if all(len(windows.t) for half in halves for windows in half.window_sets):
-        changes = [half.find_best_change(rounds, starts, seed) for half in halves]
-        before = rms(np.array([half.position_sizes for half in halves]))
-        pairs = zip(halves, reversed(changes), strict=True)
-        after = rms(np.array([half.measure_position_sizes(change) for half, change in pairs]))
+    before, after = problem.cross_validate(rounds, starts, seed)
     if not rms(after / before, axis=None) < 1.0:
         return RefinementResult(body=body, model=model, ratio=1.0, before=before, left_out=before)
-    problem.whole_logs = (
-        [simulation.to_single_window(joint_records) for joint_records in records]
-        if is_weightless
-        else []
-    )
+    if is_weightless:
+        problem.whole_logs = list(map(simulation.to_single_window, records))
     return problem.build_refinement(problem.find_best_change(rounds, starts, seed), before, after)
 
 
@@ -119,19 +110,12 @@ class _Problem:
         self.whole_logs: list[Windows] = []  # logs whose open loop must not become worse
         self._proven = [has_proof(law) for law in model.laws]
         self.columns = [k for k in body.base if with_body and body.parameters[k] != 0.0]
-        self._coefficients = [
-            (j, k)
-            for j, law in enumerate(model.laws)
-            for k, (name, value) in enumerate(law.values.items())
-            # P is a limit of the training, and networks have too many coefficients.
-            if value != 0.0 and name != OLDEST.name and len(law.values) <= MAX_COEFFICIENTS
-        ]
+        self._coefficients = _list_coefficients(model)
         self.size = len(self.columns) + len(self._coefficients)
-        self._loads = [
-            robot.regressor(motion.q, motion.dq, motion.ddq)[:, :, self.columns]
-            * body.parameters[self.columns]
-            for motion in motions
-        ]
+        self._loads = []  # torque [N.m] of each body parameter, (N, n, columns) by log
+        for motion in motions:
+            regressor = robot.regressor(motion.q, motion.dq, motion.ddq)
+            self._loads.append(regressor[:, :, self.columns] * body.parameters[self.columns])
         no_change = np.zeros(self.size)
         self.position_sizes = self.measure_position_sizes(no_change)
         self._torque_sizes = rms(self._torque_errors(no_change))
@@ -144,6 +128,24 @@ class _Problem:
         ]
         half.position_sizes = half.measure_position_sizes(np.zeros(self.size))
         return half
+
+    def cross_validate(self, rounds: int, starts: int, seed: int) -> tuple[Array, Array]:
+        """Return the position errors on left-out windows, before and after, by length and joint.
+
+        Each half of the windows is left out in turn; without windows of each length in both, the
+        errors are NaN.
+        """
+        halves = [self.select_blocks(k) for k in range(2)]
+        for half in halves:
+            if not all(len(windows.t) for windows in half.window_sets):
+                unknown = np.full((len(self.window_sets), self._robot.n), np.nan)
+                return unknown, unknown
+        changes = [half.find_best_change(rounds, starts, seed) for half in halves]
+        before = rms(np.array([half.position_sizes for half in halves]))
+        left_out_sizes = []
+        for half, change in zip(halves, reversed(changes), strict=True):
+            left_out_sizes.append(half.measure_position_sizes(change))
+        return before, rms(np.array(left_out_sizes))
 
     def find_best_change(self, rounds: int, starts: int, seed: int) -> Array:
         """Return the best change that is allowed."""
@@ -176,9 +178,8 @@ class _Problem:
         return np.where(np.isfinite(square_sums), square_sums, np.inf)
 
     def linearise(self, change: Array) -> tuple[Array, Array]:
-        rows = np.array(
-            self._residual_rows(np.vstack([change, change + _DIFFERENCE_STEP * np.eye(self.size)]))
-        )
+        neighbours = change + _DIFFERENCE_STEP * np.eye(self.size)
+        rows = np.array(self._residual_rows(np.vstack([change, neighbours])))
         return rows[0], (rows[1:] - rows[0]).T / _DIFFERENCE_STEP
 
     def _limit_change(self, optimum: Array) -> Array:
@@ -187,22 +188,27 @@ class _Problem:
         open_loop = self._measure_open_loop(no_change)
         for share in _STEP_SHARES:
             change = share * optimum
-            laws = self._change_friction(change).laws
-            unproven_joints = {
-                j
-                for j, was_proven in enumerate(self._proven)
-                if was_proven and not has_proof(laws[j])
-            }
-            changed_joints = [j for j, _ in self._coefficients]
-            change[len(self.columns) :][[j in unproven_joints for j in changed_joints]] = 0.0
+            unproven_joints = self._find_unproven_joints(change)
+            is_unproven = [j in unproven_joints for j, _ in self._coefficients]
+            change[len(self.columns) :][is_unproven] = 0.0
             ratio = rms(self.measure_position_sizes(change) / self.position_sizes, axis=None)
             is_accurate = rms(self._torque_errors(change)) <= MAX_TORQUE_RATIO * self._torque_sizes
             if np.all(is_accurate) and ratio < 1.0 and self._measure_open_loop(change) <= open_loop:
                 return change
         return no_change
 
+    def _find_unproven_joints(self, change: Array) -> set[int]:
+        """Return the joints whose laws lose the proof of passivity by a change."""
+        joints = set()
+        for j, law in enumerate(self._change_friction(change).laws):
+            if self._proven[j] and not has_proof(law):
+                joints.add(j)
+        return joints
+
     def _measure_open_loop(self, change: Array) -> float:
         """Return the RMS position error over whole logs, relative to that over windows."""
+        if not self.whole_logs:
+            return 0.0
         body = self._change_body(change)
         model = self._change_friction(change)
         simulator = Simulator(robot=self._robot, parameters=body.parameters, model=model)
@@ -210,19 +216,20 @@ class _Problem:
             (simulator.run(windows) - windows.q) / self.position_sizes[0]
             for windows in self.whole_logs
         ]
-        error = float(rms(np.concatenate(errors, axis=1), axis=None)) if errors else 0.0
+        error = float(rms(np.concatenate(errors, axis=1), axis=None))
         return error if np.isfinite(error) else np.inf
 
     def build_refinement(self, change: Array, before: Array, left_out: Array) -> RefinementResult:
         """Return body and friction after a change."""
         torque_rmse = rms(self._torque_errors(change))
-        left_out_rmse = self._model.left_out_rmse or ()
+        left_out_rmse = self._model.left_out_rmse
+        if left_out_rmse:
+            # They grow as the errors on the training logs do.
+            left_out_rmse = tuple((left_out_rmse * torque_rmse / self._torque_sizes).tolist())
         model = replace(
             self._change_friction(change),
             training_rmse=tuple(torque_rmse.tolist()),
-            left_out_rmse=tuple((left_out_rmse * torque_rmse / self._torque_sizes).tolist())
-            if left_out_rmse
-            else (),
+            left_out_rmse=left_out_rmse,
         )
         return RefinementResult(
             body=self._change_body(change),
@@ -239,17 +246,15 @@ class _Problem:
         )
 
     def _residual_rows(self, changes: Array) -> list[Array]:
-        position_errors = zip(*self._position_errors(changes), strict=True)
-        return [
-            self._residuals(change_errors, change)
-            for change_errors, change in zip(position_errors, changes, strict=True)
-        ]
+        position_errors = zip(*self._position_errors(changes), strict=True)  # by change
+        return list(map(self._residuals, position_errors, changes))
 
     def _residuals(self, position_errors: Sequence[Array], change: Array) -> Array:
-        scaled = [
-            (errors / joint_sizes).ravel() / np.sqrt(errors.size * len(position_errors))
-            for errors, joint_sizes in zip(position_errors, self.position_sizes, strict=True)
-        ]
+        scaled = []
+        for errors, joint_sizes in zip(position_errors, self.position_sizes, strict=True):
+            # Each length of windows has the same weight.
+            root_count = np.sqrt(errors.size * len(position_errors))
+            scaled.append((errors / joint_sizes).ravel() / root_count)
         torque_errors = (self._torque_errors(change) / self._torque_sizes).ravel()
         weight = _TORQUE_WEIGHT if self._robot.n > 1 else _SINGLE_TORQUE_WEIGHT
         return np.concatenate([*scaled, np.sqrt(weight / torque_errors.size) * torque_errors])
@@ -257,12 +262,16 @@ class _Problem:
     def _position_errors(self, changes: Array) -> list[Array]:
         """Return the position errors (M, W, K + 1, n) of (M, P) changes by length."""
         models = [self._change_friction(change) for change in changes]
-        coefficients = [[list(law.values.values()) for law in model.laws] for model in models]
         bodies = np.array([self._change_body(change).parameters for change in changes])
         errors = []
         for windows in self.window_sets:
             window_count = len(windows.t)
-            states = [windows.compute_states(model) for model in models]
+            law_values = []
+            for j in range(len(self._model.laws)):
+                coefficients = [list(model.laws[j].values.values()) for model in models]
+                law_values.append(np.repeat(np.array(coefficients).T, window_count, axis=1))
+            model_states = [windows.compute_states(model) for model in models]
+            law_states = [np.concatenate(x, axis=1) for x in zip(*model_states, strict=True)]
             simulator = Simulator(
                 robot=self._robot,
                 parameters=np.repeat(bodies, window_count, axis=0),
@@ -270,13 +279,8 @@ class _Problem:
             )
             simulated = simulator.run(
                 simulation.join_windows([windows] * len(changes)),
-                values=[
-                    np.repeat(np.array(law_arrays).T, window_count, axis=1)
-                    for law_arrays in zip(*coefficients, strict=True)
-                ],
-                states=[
-                    np.concatenate(law_arrays, axis=1) for law_arrays in zip(*states, strict=True)
-                ],
+                values=law_values,
+                states=law_states,
             )
             errors.append(simulated.reshape(len(changes), *windows.q.shape) - windows.q)
         return errors
@@ -286,15 +290,12 @@ class _Problem:
         errors = []
         for log_records, loads in zip(self._records, self._loads, strict=True):
             tau_change = loads @ change[: len(self.columns)]
-            joint_records = [
-                replace(record, tau_load=record.tau_load + tau_change[:, j])
-                for j, record in enumerate(log_records)
-            ]
-            errors.append(
-                model.predict(joint_records)
-                + tau_change
-                - np.column_stack([record.tau for record in log_records])
-            )
+            changed_records = []
+            for j, record in enumerate(log_records):
+                changed_load = record.tau_load + tau_change[:, j]
+                changed_records.append(replace(record, tau_load=changed_load))
+            tau = np.column_stack([record.tau for record in log_records])
+            errors.append(model.predict(changed_records) + tau_change - tau)
         return np.concatenate(errors)
 
     def _change_body(self, change: Array) -> RigidBody:
@@ -303,18 +304,27 @@ class _Problem:
         return replace(self._body, parameters=parameters)
 
     def _change_friction(self, change: Array) -> FrictionModel:
-        values = [list(law.values.values()) for law in self._model.laws]
-        for (j, k), coefficient_change in zip(
-            self._coefficients, change[len(self.columns) :], strict=True
+        values = [dict(law.values) for law in self._model.laws]
+        coefficient_changes = change[len(self.columns) :]
+        for (j, name), coefficient_change in zip(
+            self._coefficients, coefficient_changes, strict=True
         ):
-            values[j][k] *= np.exp(coefficient_change)  # keeps the sign
-        laws = [
-            replace(
-                law,
-                values=dict(zip(law.values, map(float, law_values), strict=True)),
-                standard_errors={},  # these belong to another estimate
-                covariance=None,
-            )
-            for law, law_values in zip(self._model.laws, values, strict=True)
-        ]
+            values[j][name] *= float(np.exp(coefficient_change))  # keeps the sign
+        laws = []
+        for law, law_values in zip(self._model.laws, values, strict=True):
+            # Standard errors belong to another estimate.
+            laws.append(replace(law, values=law_values, standard_errors={}, covariance=None))
         return replace(self._model, laws=tuple(laws))
+
+
+def _list_coefficients(model: FrictionModel) -> list[tuple[int, str]]:
+    """Return joint and name of each coefficient that may change."""
+    coefficients = []
+    for j, law in enumerate(model.laws):
+        if len(law.values) > MAX_COEFFICIENTS:  # of networks
+            continue
+        for name, value in law.values.items():
+            # 0 has no logarithm, and P is a limit of the training.
+            if value != 0.0 and name != OLDEST.name:
+                coefficients.append((j, name))
+    return coefficients

@@ -12,7 +12,7 @@ M, c and g are those in the middle of a row.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import accumulate, compress
+from itertools import compress
 
 import numpy as np
 
@@ -61,22 +61,23 @@ class Windows:
         law_states: list[list[Array]] = [[] for _ in model.laws]
         for part, joint_records in enumerate(self.records):
             rows = [max(row - delay, 0) for window_part, row in self.places if window_part == part]
-            for j, (law, record) in enumerate(
-                zip(model.laws, transform_records(joint_records), strict=True)
+            transformed_records = transform_records(joint_records)
+            for law, record, states in zip(
+                model.laws, transformed_records, law_states, strict=True
             ):
-                law_states[j].append(compute_states(law, **record.motion)[:, rows])
-        return [np.concatenate(parts, axis=1) for parts in law_states]
+                states.append(compute_states(law, **record.motion)[:, rows])
+        return [np.concatenate(states, axis=1) for states in law_states]
 
 
 def cut_windows(records: PartRecords, length: float) -> Windows:
     """Cut logs into windows of a length [s] after a run-in; raise SimulationError if none fits."""
     times = [joint_records[0].t for joint_records in records]
-    steps = max(1, round(length / float(np.median(np.concatenate([np.diff(t) for t in times])))))
-    places = [
-        (part, row)
-        for part, t in enumerate(times)
-        for row in range(int(np.searchsorted(t, t[0] + RUN_IN)), len(t) - steps, steps)
-    ]
+    period = float(np.median(np.concatenate([np.diff(t) for t in times])))
+    steps = max(1, round(length / period))
+    places = []
+    for part, t in enumerate(times):
+        first_row = int(np.searchsorted(t, t[0] + RUN_IN))
+        places += [(part, row) for row in range(first_row, len(t) - steps, steps)]
     if not places:
         names = ", ".join(dict.fromkeys(joint_records[0].log for joint_records in records))
         raise SimulationError(
@@ -87,18 +88,19 @@ def cut_windows(records: PartRecords, length: float) -> Windows:
 
 def join_windows(window_sets: Sequence[Windows]) -> Windows:
     """Join sets of windows with equal numbers of steps."""
-    first_parts = accumulate((len(windows.records) for windows in window_sets), initial=0)
+    places: list[tuple[int, int]] = []
+    records: list[Sequence[FrictionRecord]] = []
+    for windows in window_sets:
+        first_part = len(records)
+        places += [(first_part + part, row) for part, row in windows.places]
+        records += windows.records
     return Windows(
-        **{
-            name: np.concatenate([getattr(windows, name) for windows in window_sets])
-            for name in _SIGNALS
-        },
-        places=tuple(
-            (first_part + part, row)
-            for first_part, windows in zip(first_parts, window_sets, strict=False)
-            for part, row in windows.places
-        ),
-        records=[joint_records for windows in window_sets for joint_records in windows.records],
+        t=np.concatenate([windows.t for windows in window_sets]),
+        q=np.concatenate([windows.q for windows in window_sets]),
+        dq=np.concatenate([windows.dq for windows in window_sets]),
+        tau=np.concatenate([windows.tau for windows in window_sets]),
+        places=tuple(places),
+        records=records,
     )
 
 
@@ -113,33 +115,31 @@ def _cut(records: PartRecords, places: Sequence[tuple[int, int]], steps: int) ->
             f"log '{records[0][0].log}': the load of its friction is a pressure, which a "
             "simulation of motion does not know."
         )
-    signals = {
-        "q": [np.column_stack([record.q for record in joint_records]) for joint_records in records],
-        "dq": [
-            np.column_stack([record.dq for record in joint_records]) for joint_records in records
-        ],
-        "tau": [
-            np.column_stack([record.measured for record in joint_records])
-            for joint_records in records
-        ],
-        "t": [joint_records[0].t for joint_records in records],
-    }
-    arrays = {
-        name: np.stack([parts[part][row : row + steps + 1] for part, row in places])
-        for name, parts in signals.items()
-    }
+    windows: dict[str, list[Array]] = {name: [] for name in _SIGNALS}
+    signals = [_stack_signals(joint_records) for joint_records in records]
+    for part, row in places:
+        for name, values in signals[part].items():
+            windows[name].append(values[row : row + steps + 1])
+    arrays = {name: np.stack(parts) for name, parts in windows.items()}
     return Windows(**arrays, places=tuple(places), records=records)
+
+
+def _stack_signals(joint_records: Sequence[FrictionRecord]) -> dict[str, Array]:
+    """Return time (N,) [s], motion and measured torque (N, n) of a part of a log, [joint]."""
+    return {
+        "t": joint_records[0].t,
+        "q": np.column_stack([record.q for record in joint_records]),
+        "dq": np.column_stack([record.dq for record in joint_records]),
+        "tau": np.column_stack([record.measured for record in joint_records]),
+    }
 
 
 def is_weightless(records: PartRecords, robot: Robot, body: RigidBody) -> bool:
     """Return whether gravity acts on no joint; otherwise whole logs diverge with any friction."""
-    q = np.concatenate(
-        [np.column_stack([record.q for record in joint_records]) for joint_records in records]
-    )
+    signals = [_stack_signals(joint_records) for joint_records in records]
+    q = np.concatenate([part_signals["q"] for part_signals in signals])
     weight = robot.torque(body.parameters, q, np.zeros_like(q), np.zeros_like(q))
-    largest_torque = max(
-        np.abs(record.measured).max() for joint_records in records for record in joint_records
-    )
+    largest_torque = max(np.abs(part_signals["tau"]).max() for part_signals in signals)
     return bool(np.abs(weight).max() <= _MAX_GRAVITY_SHARE * largest_torque)
 
 
@@ -189,32 +189,31 @@ class Simulator:
         initial states, by default run in along the logs. Raises SimulationError if the mass matrix
         is not positive definite.
         """
-        # MuJoCo uses the rates before a step: its states lag by one row.
-        initial_states = (
-            windows.compute_states(self.model, delay=int(self.as_plant))
-            if states is None
-            else states
-        )
-        law_values = [None] * len(initial_states) if values is None else values
+        if states is None:
+            # MuJoCo uses the rates before a step: its states lag by one row.
+            states = windows.compute_states(self.model, delay=int(self.as_plant))
+        if values is None:
+            steppers = [LawStepper(law) for law in self.model.laws]
+        else:
+            steppers = [
+                LawStepper(law, law_values)
+                for law, law_values in zip(self.model.laws, values, strict=True)
+            ]
         motion = _MotionState(
-            laws=[
-                LawStepper(law, coefficients)
-                for law, coefficients in zip(self.model.laws, law_values, strict=True)
-            ],
-            x=[law_states.copy() for law_states in initial_states],
+            laws=steppers,
+            x=[law_states.copy() for law_states in states],
             q=windows.q[:, 0].copy(),
             v=windows.dq[:, 0].copy(),
         )
         positions = np.empty_like(windows.q)
         positions[:, 0] = motion.q
-        body = self._evaluate_body(motion.q, motion.v) if self._is_constant(motion.q) else None
+        constant_body = None
+        if self._is_constant(motion.q):
+            constant_body = self._evaluate_body(motion.q, motion.v)
         steps = np.diff(windows.t, axis=1)
         with np.errstate(all="ignore"):  # divergence shows in the result
             for k, dt in enumerate(steps.T):
-                middle = motion.q if self.as_plant else motion.q + 0.5 * dt[:, None] * motion.v
-                inverse, bias = body or self._evaluate_body(
-                    np.nan_to_num(middle), np.nan_to_num(motion.v)
-                )
+                inverse, bias = constant_body or self._evaluate_step(motion, dt)
                 tau = windows.tau[:, k]
                 if self.as_plant:
                     self._step_explicitly(motion, dt, tau - bias, inverse, bias)
@@ -226,17 +225,24 @@ class Simulator:
                 positions[:, k + 1] = motion.q
         return positions
 
+    def _evaluate_step(self, motion: _MotionState, dt: Array) -> tuple[Array, Array]:
+        """Return inverse mass matrices and bias of a step [s], for the plant at its begin."""
+        q = motion.q
+        if not self.as_plant:
+            q = q + 0.5 * dt[:, None] * motion.v  # in its middle
+        # Windows that have diverged must not stop the others.
+        return self._evaluate_body(np.nan_to_num(q), np.nan_to_num(motion.v))
+
     def _is_constant(self, q: Array) -> bool:
         """Return whether mass and weight are those of one joint at any position."""
         if self.robot.n > 1 or self.robot.follow:
             return False
-        masses, weights = zip(
-            *(
-                self.robot.dynamics(self.parameters, q + offset, 0.0 * q)
-                for offset in _TEST_OFFSETS
-            ),
-            strict=True,
-        )
+        masses = []
+        weights = []
+        for offset in _TEST_OFFSETS:
+            mass, weight = self.robot.dynamics(self.parameters, q + offset, 0.0 * q)
+            masses.append(mass)
+            weights.append(weight)
         return bool(np.ptp(weights, axis=0).max() <= _WEIGHT_TOLERANCE * np.max(np.abs(masses)))
 
     def _evaluate_body(self, q: Array, dq: Array) -> tuple[Array, Array]:
@@ -268,21 +274,19 @@ class Simulator:
         free_speed = free_dq @ forward.T
         position = motion.q @ forward.T
         start_speed = motion.v @ forward.T
-        force = np.stack(
-            [
-                law(h, start_speed[:, j], position[:, j], friction_loads[:, j], x[j])[0]
-                for j, law in enumerate(laws)
-            ],
-            axis=1,
-        )
+        start_forces = []
+        for j, law in enumerate(laws):
+            start_force, _ = law(h, start_speed[:, j], position[:, j], friction_loads[:, j], x[j])
+            start_forces.append(start_force)
+        force = np.stack(start_forces, axis=1)
         speed = start_speed.copy()
-        for _ in range(_JOINT_SWEEPS if len(laws) > 1 else 1):
+        sweeps = _JOINT_SWEEPS if len(laws) > 1 else 1
+        for _ in range(sweeps):
             for j, law in enumerate(laws):
+                # Friction of the other joints is that of the last sweep.
                 gain = h * friction_inverse[:, j, j]
-                coupled_acceleration = (
-                    np.einsum("wj,wj->w", friction_inverse[:, j], force)
-                    - friction_inverse[:, j, j] * force[:, j]
-                )
+                acceleration = np.einsum("wj,wj->w", friction_inverse[:, j], force)
+                coupled_acceleration = acceleration - friction_inverse[:, j, j] * force[:, j]
                 target = free_speed[:, j] - h * coupled_acceleration
                 speed[:, j] = _find_root(
                     law, h, position[:, j], friction_loads[:, j], x[j], target, gain, speed[:, j]
@@ -350,10 +354,10 @@ def _find_root(
     upper = lower - 2.0 * residual_lower
     residual_upper = residual(upper)
     for _ in range(_ROOT_ITERATIONS):
-        residual_difference = residual_upper - residual_lower
-        middle = upper - residual_upper * (upper - lower) / np.where(
-            residual_difference == 0.0, 1.0, residual_difference
-        )
+        # Where both ends are the root, any divisor will do.
+        difference = residual_upper - residual_lower
+        divisor = np.where(difference == 0.0, 1.0, difference)
+        middle = upper - residual_upper * (upper - lower) / divisor
         residual_middle = residual(middle)
         if not np.any(np.abs(residual_middle) > _SPEED_PRECISION):
             break
