@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import repeat
 from math import inf
 from os import PathLike
 from pathlib import Path
@@ -111,12 +110,35 @@ class FrictionModel:
                 code="law.joints",
                 key="joints",
             )
+        self._require_names()
+        self._require_entries()
+        self._require_coupling()
+        if not 0.0 < self.sample_time < inf:
+            raise ArtifactError(
+                f"friction model '{self.law}': sample time is {self.sample_time} s; expected a "
+                "positive number.",
+                code="law.sample_time",
+                key="sample_time",
+            )
+        if not any(self.sliding):
+            object.__setattr__(self, "sliding", ())
+        laws = []
+        for law, is_prismatic in zip(self.laws, self.slides, strict=True):
+            # Here, so that units always match the joints.
+            laws.append(replace(law, form=law.form.sliding) if is_prismatic else law)
+        object.__setattr__(self, "laws", tuple(laws))
+
+    def _require_names(self) -> None:
+        """Raise ArtifactError for names of joints that cannot be printed."""
         for name in self.joints:
             try:
                 require_printable(name)
             except ValueError as error:
                 sentence = f"friction model '{self.law}': {error}."
                 raise ArtifactError(sentence, code="law.joint_name", key="joints") from error
+
+    def _require_entries(self) -> None:
+        """Raise ArtifactError for optional parts of another number of joints."""
         for entries, entry_kind in (
             (self.sliding, "flags of prismatic joints for"),
             (self.trained, "trained ranges for"),
@@ -132,6 +154,9 @@ class FrictionModel:
                     code="law.entries",
                     key="joints",
                 )
+
+    def _require_coupling(self) -> None:
+        """Raise ArtifactError for a coupling of other joints, or of joints with heat."""
         if self.thermal and self.coupling:
             raise ArtifactError(
                 f"friction model '{self.law}': a thermal model does not support coupled joints.",
@@ -145,35 +170,18 @@ class FrictionModel:
                 code="law.coupling",
                 key="coupling",
             )
-        if not 0.0 < self.sample_time < inf:
-            raise ArtifactError(
-                f"friction model '{self.law}': sample time is {self.sample_time} s; expected a "
-                "positive number.",
-                code="law.sample_time",
-                key="sample_time",
-            )
-        if not any(self.sliding):
-            object.__setattr__(self, "sliding", ())
-        # Here, so that units always match the joints.
-        laws = (
-            replace(law, form=law.form.sliding) if is_prismatic else law
-            for law, is_prismatic in zip(self.laws, self.slides, strict=True)
-        )
-        object.__setattr__(self, "laws", tuple(laws))
 
     def __repr__(self) -> str:
         return f"FrictionModel('{self.law}' of '{self.robot}', {len(self.joints)} joints)"
 
     def _repr_html_(self) -> str:
         errors = self.training_rmse or ("",) * len(self.joints)
-        rows = (
-            (
-                joint,
-                "; ".join(equations(law)) if len(law.values) <= _MAX_SHOWN_COEFFICIENTS else law,
-                error,
-            )
-            for joint, law, error in zip(self.joints, self.laws, errors, strict=True)
-        )
+        rows = []
+        for joint, law, error in zip(self.joints, self.laws, errors, strict=True):
+            description: str | FrictionLaw = law
+            if len(law.values) <= _MAX_SHOWN_COEFFICIENTS:
+                description = "; ".join(equations(law))
+            rows.append((joint, description, error))
         head = ("joint", "law", f"training RMSE [{unit_of_joints('N.m', self.sliding)}]")
         return html_table(f"Friction of '{self.robot}' by the law '{self.law}'", head, rows)
 
@@ -196,10 +204,7 @@ class FrictionModel:
         """Return the model of JSON data; raises ArtifactError, which names `path`, if invalid."""
         file = from_json(ModelFile, data, path, "a friction model")
         joints = file.joints
-        parts: dict[str, Any] = {
-            name: tuple(part for entry in joints if (part := getattr(entry, name)) is not None)
-            for name in _OPTIONAL_PARTS
-        }
+        parts: dict[str, Any] = {name: _collect_part(joints, name) for name in _OPTIONAL_PARTS}
         try:
             return cls(
                 law=file.law,
@@ -224,19 +229,21 @@ class FrictionModel:
 
     def to_json(self) -> dict[str, Any]:
         """Return the JSON data of the model's file."""
-        columns = {
-            "joint": self.joints,
-            "sliding": [is_prismatic or None for is_prismatic in self.slides],
-            **{name: getattr(self, name) or (None,) * len(self.joints) for name in _OPTIONAL_PARTS},
-        }
+        entries = []
+        for j, law in enumerate(self.laws):
+            parts: dict[str, Any] = {}
+            for name in _OPTIONAL_PARTS:
+                joint_parts = getattr(self, name)
+                parts[name] = joint_parts[j] if joint_parts else None
+            entry = JointEntry.from_law(
+                law, joint=self.joints[j], sliding=self.slides[j] or None, **parts
+            )
+            entries.append(entry)
         file = ModelFile(
             law=self.law,
             robot=self.robot,
             sample_time=self.sample_time,
-            joints=tuple(
-                JointEntry.from_law(law, **{name: column[j] for name, column in columns.items()})
-                for j, law in enumerate(self.laws)
-            ),
+            joints=tuple(entries),
             coupling=self.coupling,
             provenance=self.provenance,
         )
@@ -338,10 +345,11 @@ class FrictionModel:
         LogError, SimulationError
             If a log cannot be read or has other joints.
         """
-        items = [logs] if isinstance(logs, Log | str | PathLike) else list(logs)
+        if isinstance(logs, Log | str | PathLike):
+            logs = [logs]
         tau = []
         tau_predicted = []
-        for log in items:
+        for log in logs:
             for part in read_log(log, robot).parts():
                 log_records = self.records(part, rigid_body=rigid_body, robot=robot)
                 tau.append(np.column_stack([record.tau for record in log_records]))
@@ -356,15 +364,16 @@ class FrictionModel:
         robot: RobotLike | None = None,
     ) -> list[FrictionRecord]:
         """Return the measured friction of each joint in a log; see `predict`."""
-        body = self.rigid_body if rigid_body is None else rigid_body
-        if body is None:
+        if rigid_body is None:
+            rigid_body = self.rigid_body
+        if rigid_body is None:
             raise SimulationError(
                 f"friction model '{self.law}': give 'rigid_body', the result of 'hesr identify', "
                 "which separates friction from the torque of the log.",
                 code="law.rigid_body",
                 key="rigid_body",
             )
-        log_records = separate_friction(log, body, robot)
+        log_records = separate_friction(log, rigid_body, robot)
         by_joint = {record.joint: record for record in log_records}
         if self.coupling is None and set(self.joints) <= by_joint.keys():
             log_records = [by_joint[joint] for joint in self.joints]
@@ -464,27 +473,32 @@ class FrictionModel:
         if isinstance(records, Log | str | PathLike):
             records = self.records(records, rigid_body=rigid_body, robot=robot)
         if records is not None:
-            self._require_joints(records)
-            transformed_records = transform_records(
-                [replace(record, coupling=self.coupling) for record in records]
-            )
-            columns = [
-                predict_record(law, record, measured_start=measured_start, thermal=thermal)
-                for law, record, thermal in zip(
-                    self.laws,
-                    transformed_records,
-                    self.thermal or repeat(None, len(transformed_records)),
-                    strict=True,
-                )
-            ]
-            return self._to_joints(np.column_stack(columns))
+            return self._predict_records(records, measured_start=measured_start)
         if t is None or dq is None:
             raise TypeError("predict() takes a log, or the arrays 't' and 'dq'")
-        time = np.asarray(t, dtype=float)
-        speed, position, load = (
-            self._to_rows(name, values, len(time))
-            for name, values in (("dq", dq), ("q", q), ("tau_load", tau_load))
+        return self._predict_arrays(np.asarray(t, dtype=float), dq, q, tau_load)
+
+    def _predict_records(self, records: Sequence[FrictionRecord], *, measured_start: bool) -> Array:
+        """Return the torque at joints, (N, n) [N.m], over the records of a log."""
+        self._require_joints(records)
+        transformed_records = transform_records(
+            [replace(record, coupling=self.coupling) for record in records]
         )
+        columns = []
+        for j, record in enumerate(transformed_records):
+            thermal = self.thermal[j] if self.thermal else None
+            columns.append(
+                predict_record(self.laws[j], record, measured_start=measured_start, thermal=thermal)
+            )
+        return self._to_joints(np.column_stack(columns))
+
+    def _predict_arrays(
+        self, time: Array, dq: ArrayLike, q: ArrayLike | None, tau_load: ArrayLike | None
+    ) -> Array:
+        """Return the torque at joints, (N, n) [N.m], over arrays; see `predict`."""
+        speed = self._to_rows("dq", dq, len(time))
+        position = self._to_rows("q", q, len(time))
+        load = self._to_rows("tau_load", tau_load, len(time))
         if np.any(np.diff(time) <= 0.0):
             row = int(np.argmax(np.diff(time) <= 0.0)) + 1
             raise SimulationError(
@@ -492,7 +506,8 @@ class FrictionModel:
                 f"after {time[row - 1]:g} s."
             )
         if self.coupling:
-            speed, position = self.coupling.motion(speed), self.coupling.motion(position)
+            speed = self.coupling.motion(speed)
+            position = self.coupling.motion(position)
             load = self.coupling.torque(load)
         return self._to_joints(
             predict_joints(self.laws, t=time, dq=speed, q=position, tau_load=load)
@@ -514,12 +529,15 @@ class FrictionModel:
             If the records do not match the model's joints, or the model has no
             band.
         """
-        columns = {
-            name: np.column_stack([getattr(record, name) for record in records])
-            for name in ("dq", "q", "tau_load")
-        }
-        torque = self.predict(records)
-        return compute_band(self, t=records[0].t, **columns, torque=torque, coverage=coverage)
+        return compute_band(
+            self,
+            t=records[0].t,
+            dq=np.column_stack([record.dq for record in records]),
+            q=np.column_stack([record.q for record in records]),
+            tau_load=np.column_stack([record.tau_load for record in records]),
+            torque=self.predict(records),
+            coverage=coverage,
+        )
 
     @property
     def banded(self) -> bool:
@@ -534,11 +552,15 @@ class FrictionModel:
             )
 
     def _to_joints(self, torque: Array) -> Array:
-        return torque if self.coupling is None else self.coupling.to_joints(torque)
+        if self.coupling is None:
+            return torque
+        return self.coupling.to_joints(torque)
 
     def _to_rows(self, name: str, values: ArrayLike | None, count: int) -> Array:
         shape = (count, len(self.joints))
-        rows = np.broadcast_to(0.0, shape) if values is None else np.asarray(values, dtype=float)
+        if values is None:
+            return np.broadcast_to(0.0, shape)
+        rows = np.asarray(values, dtype=float)
         if rows.shape != shape:
             raise SimulationError(
                 f"friction model '{self.law}': '{name}' has the shape {rows.shape}; expected "
@@ -570,25 +592,42 @@ def compute_band(
     model.require_band()
     coupling = model.coupling
     if coupling:
-        dq, q = coupling.motion(dq), coupling.motion(q)
-        tau_load, torque = coupling.torque(tau_load), coupling.torque(torque)
-    inputs = {"dq": dq, "q": q, "tau_load": tau_load, "torque": torque}
-    ends = [
-        predict_band(
-            law, t=t, coverage=coverage, **{name: signal[:, j] for name, signal in inputs.items()}
+        dq = coupling.motion(dq)
+        q = coupling.motion(q)
+        tau_load = coupling.torque(tau_load)
+        torque = coupling.torque(torque)
+    lower_columns = []
+    upper_columns = []
+    for j, law in enumerate(model.laws):
+        joint_lower, joint_upper = predict_band(
+            law,
+            t=t,
+            dq=dq[:, j],
+            q=q[:, j],
+            tau_load=tau_load[:, j],
+            torque=torque[:, j],
+            coverage=coverage,
         )
-        for j, law in enumerate(model.laws)
-    ]
-    lower, upper = (np.column_stack(end) for end in zip(*ends, strict=True))
-    return coupling.ends(torque, lower, upper) if coupling else (lower, upper)
+        lower_columns.append(joint_lower)
+        upper_columns.append(joint_upper)
+    lower = np.column_stack(lower_columns)
+    upper = np.column_stack(upper_columns)
+    if coupling is None:
+        return lower, upper
+    return coupling.ends(torque, lower, upper)
 
 
 def can_share_fmu(first_model: FrictionModel, second_model: FrictionModel) -> bool:
     """Whether one FMU can have laws of both models: uncoupled joints, the same integration."""
-    discretisations = {
-        law.discretisation for model in (first_model, second_model) for law in model.laws
-    }
+    laws = (*first_model.laws, *second_model.laws)
+    discretisations = {law.discretisation for law in laws}
     return first_model.coupling is None and len(discretisations) == 1
+
+
+def _collect_part(entries: Iterable[JointEntry], name: str) -> tuple[Any, ...]:
+    """Return an optional part of the joints that have it."""
+    parts = (getattr(entry, name) for entry in entries)
+    return tuple(part for part in parts if part is not None)
 
 
 def mix_models(models: Sequence[FrictionModel]) -> FrictionModel:
@@ -596,7 +635,9 @@ def mix_models(models: Sequence[FrictionModel]) -> FrictionModel:
 
     def collect_part(part: str) -> tuple[Any, ...]:
         rows = [getattr(model, part) for model in models]
-        return tuple(row[j] for j, row in enumerate(rows)) if all(rows) else ()
+        if not all(rows):
+            return ()
+        return tuple(row[j] for j, row in enumerate(rows))
 
     changes: dict[str, Any] = {part: collect_part(part) for part in ("laws", *_OPTIONAL_PARTS)}
     return replace(models[0], law=MIXED, **changes)

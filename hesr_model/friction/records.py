@@ -25,7 +25,9 @@ def predict_record(
 
     `measured_start` estimates the initial states from the first torques.
     """
-    start = record_start(law, record) if measured_start and law.start_samples else None
+    start = None
+    if measured_start and law.start_samples:
+        start = record_start(law, record)
     if thermal:
         # it imports SciPy's optimisers
         from hesr_model.friction.thermal_law import predict_thermal
@@ -55,22 +57,37 @@ class Score:
 
 def score(joint_records: Sequence[FrictionRecord], predictions: Sequence[Array]) -> Score:
     """Score predictions (N,) [N.m] of one joint's friction on each record's rows."""
-    error = np.concatenate(
-        [
-            record.tau - tau_predicted
-            for record, tau_predicted in zip(joint_records, predictions, strict=True)
-        ]
-    )
+    error = _subtract_predictions(joint_records, predictions)
     is_near_reversal, is_moving = _classify_rows(joint_records)
     tau_std = float(np.std(np.concatenate([record.tau for record in joint_records])))
+    determination = None
+    if tau_std > 0:
+        determination = 1.0 - (rmse(error) / tau_std) ** 2
     return Score(
         tau_std=tau_std,
         rmse=rmse(error),
-        rmse_reversal=rmse(error[is_near_reversal]) if np.any(is_near_reversal) else None,
-        rmse_moving=rmse(error[is_moving]) if np.any(is_moving) else None,
-        r2=1.0 - (rmse(error) / tau_std) ** 2 if tau_std > 0 else None,
-        rmse_rest=None if np.all(is_moving) else rmse(error[~is_moving]),
+        rmse_reversal=_find_rmse(error, is_near_reversal),
+        rmse_moving=_find_rmse(error, is_moving),
+        r2=determination,
+        rmse_rest=_find_rmse(error, ~is_moving),
     )
+
+
+def _subtract_predictions(
+    joint_records: Sequence[FrictionRecord], predictions: Sequence[Array]
+) -> Array:
+    """Return measured less predicted torques [N.m] over the rows of all records."""
+    errors = []
+    for record, tau_predicted in zip(joint_records, predictions, strict=True):
+        errors.append(record.tau - tau_predicted)
+    return np.concatenate(errors)
+
+
+def _find_rmse(error: Array, rows: Mask) -> float | None:
+    """Return the RMSE over some rows; None if there are none."""
+    if not np.any(rows):
+        return None
+    return rmse(error[rows])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,27 +107,28 @@ def score_band(
     bands: Sequence[tuple[Array, Array]],
 ) -> BandScore:
     """Score the ends (N,) [N.m] of one joint's band on each record's rows."""
-    log_masks = [
-        (record.tau >= lower) & (record.tau <= upper)
-        for record, (lower, upper) in zip(joint_records, bands, strict=True)
-    ]
+    log_masks = []
+    for record, (lower, upper) in zip(joint_records, bands, strict=True):
+        log_masks.append((record.tau >= lower) & (record.tau <= upper))
     is_held = np.concatenate(log_masks)
     is_near_reversal, is_moving = _classify_rows(joint_records)
-    error = np.concatenate(
-        [
-            np.abs(record.tau - tau_predicted)
-            for record, tau_predicted in zip(joint_records, predictions, strict=True)
-        ]
-    )
+    error = np.abs(_subtract_predictions(joint_records, predictions))
     constant = 2.0 * float(np.quantile(error, is_held.mean()))
     width = float(np.concatenate([upper - lower for lower, upper in bands]).mean())
     return BandScore(
         held=float(is_held.mean()),
-        held_moving=float(is_held[is_moving].mean()) if np.any(is_moving) else None,
-        held_reversal=float(is_held[is_near_reversal].mean()) if np.any(is_near_reversal) else None,
+        held_moving=_find_share(is_held, is_moving),
+        held_reversal=_find_share(is_held, is_near_reversal),
         least_log=min(float(log_mask.mean()) for log_mask in log_masks),
         width=width / constant if constant > 0.0 else None,
     )
+
+
+def _find_share(is_held: Mask, rows: Mask) -> float | None:
+    """Return the share of held ones among some rows; None if there are none."""
+    if not np.any(rows):
+        return None
+    return float(is_held[rows].mean())
 
 
 def _classify_rows(joint_records: Sequence[FrictionRecord]) -> tuple[Mask, Mask]:
