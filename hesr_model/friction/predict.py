@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from hesr_model.equations.functions import positive
 from hesr_model.equations.kernel import Kernel, KernelRun
-from hesr_model.equations.memory import Stop
+from hesr_model.equations.memory import Stop, find_read_symbols
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.band import COVERAGE, LEVEL, LOWER, NUMBERS, UPPER, band_equations
 from hesr_model.friction.inputs import INPUTS, TORQUE
@@ -23,12 +23,11 @@ _PIECE_ROWS = 2048  # rows run for all joints before the next ones, to stay in t
 
 @lru_cache(maxsize=256)
 def _motion_kernel(form: LawForm, *, reads_states: bool = False) -> Kernel:
-    expressions = (
-        tuple(element.state for element in form.memory) if reads_states else (form.output,)
-    )
-    return Kernel(
-        form.memory, _symbols(form), INPUTS, expressions, form.component.settling, once=True
-    )
+    expressions = [form.output]
+    if reads_states:
+        expressions = [element.state for element in form.memory]
+    settling = form.component.settling
+    return Kernel(form.memory, _symbols(form), INPUTS, expressions, settling, once=True)
 
 
 @lru_cache(maxsize=64)
@@ -38,9 +37,10 @@ def _reading_kernel(form: LawForm) -> Kernel:
     torque = form.output.xreplace(
         {element.derivative: element.express_derivative() for element in form.memory}
     )
-    parts = [
-        part for element in form.memory for part in (element.parts[0], positive(element.parts[1]))
-    ]
+    parts = []
+    for element in form.memory:
+        first, second = element.parts
+        parts += [first, positive(second)]
     return Kernel((), _symbols(form), (*INPUTS, *states), (torque, *parts), once=True)
 
 
@@ -94,9 +94,8 @@ def predict(
     if shown is None:
         return _run(_motion_kernel(law.form), law, dt, inputs, start)[:, 0]
     states = _run(_motion_kernel(law.form, reads_states=True), law, dt, inputs, start)
-    return KernelRun(_reading_kernel(law.form), [*shown, *states.T], dt).evaluate(
-        coefficient_array(law)
-    )[:, 0]
+    reading = KernelRun(_reading_kernel(law.form), [*shown, *states.T], dt)
+    return reading.evaluate(coefficient_array(law))[:, 0]
 
 
 def predict_joints(
@@ -144,9 +143,8 @@ def predict_band(
         raise ArtifactError(f"law '{law.name}' has no band; fit it again with this version.")
     dt, inputs = _to_arrays(t, (dq, q, tau_load))
     kernel_numbers = np.array([*law.values.values(), *law.band.values.values(), coverage])
-    lower, upper = (
-        KernelRun(_band_kernel(law.form), [*inputs, torque], dt).evaluate(kernel_numbers).T
-    )
+    run = KernelRun(_band_kernel(law.form), [*inputs, torque], dt)
+    lower, upper = run.evaluate(kernel_numbers).T
     return lower, upper
 
 
@@ -165,12 +163,10 @@ def _run(
     start: tuple[float, ...] | None = None,
 ) -> Array:
     run = KernelRun(kernel, inputs, dt, euler=law.discretisation == "euler", start=law.start)
-    has_start = start is not None
-    return run.evaluate(
-        coefficient_array(law),
-        np.array(start, dtype=float) if has_start else None,
-        settled=has_start,
-    )
+    values = coefficient_array(law)
+    if start is None:
+        return run.evaluate(values)
+    return run.evaluate(values, np.array(start, dtype=float), settled=True)
 
 
 def record_start(law: FrictionLaw, record: FrictionRecord) -> tuple[float, ...]:
@@ -180,62 +176,86 @@ def record_start(law: FrictionLaw, record: FrictionRecord) -> tuple[float, ...]:
     their deflection as a share of their bounds. For other memories, or if the parts of a relaxation
     depend on its state, the law's own start is returned.
     """
-    start_record = record.rows(slice(0, law.start_samples))
-
-    def error(start: tuple[float, ...]) -> float:
-        return float(
-            np.sum((predict(law, **start_record.motion, start=start) - start_record.tau) ** 2)
-        )
-
-    def find_best_start(
-        build_start: Callable[[float], tuple[float, ...]], lower: float, upper: float
-    ) -> tuple[float, ...]:
-        optimum = scipy.optimize.minimize_scalar(
-            lambda x: error(build_start(x)), bounds=(lower, upper), method="bounded"
-        )
-        return build_start(float(optimum.x))
-
     if law.start_samples and law.form.stops:
-        inputs = [
-            np.array([first_input])
-            for first_input in (record.dq[0], record.q[0], record.tau_load[0], *law.start)
-        ]
-        _, *parts = (
-            KernelRun(_reading_kernel(law.form), inputs, np.zeros(1))
-            .evaluate(coefficient_array(law))[0]
-            .tolist()
-        )
-
-        def deflect_bristles(share: float) -> tuple[float, ...]:
-            return tuple(
-                share * bound if isinstance(element, Stop) else x
-                for element, x, bound in zip(law.form.memory, law.start, parts[1::2], strict=True)
-            )
-
-        return find_best_start(deflect_bristles, -1.0, 1.0)
+        return _find_deflected_start(law, record)
     if not law.start_samples or len(law.form.memory) != 1 or not law.form.relaxations:
         return law.start
     [element] = law.form.memory
-    if element.state in sympy.Tuple(*element.parts).free_symbols:
+    if element.state in find_read_symbols([element]):
         return law.start
+    return _find_relaxed_start(law, record)
+
+
+def _find_deflected_start(law: FrictionLaw, record: FrictionRecord) -> tuple[float, ...]:
+    """Return the best start whose stops are deflected by the same share of their bounds."""
+    first_inputs = (record.dq[0], record.q[0], record.tau_load[0], *law.start)
+    inputs = [np.array([first_input]) for first_input in first_inputs]
+    reading = KernelRun(_reading_kernel(law.form), inputs, np.zeros(1))
+    _, *parts = reading.evaluate(coefficient_array(law))[0].tolist()
+    bounds = parts[1::2]
+
+    def deflect_stops(share: float) -> tuple[float, ...]:
+        start = []
+        for element, x, bound in zip(law.form.memory, law.start, bounds, strict=True):
+            start.append(share * bound if isinstance(element, Stop) else x)
+        return tuple(start)
+
+    start_record = record.rows(slice(0, law.start_samples))
+    return _find_best_start(law, start_record, deflect_stops, -1.0, 1.0)
+
+
+def _find_relaxed_start(law: FrictionLaw, record: FrictionRecord) -> tuple[float, ...]:
+    """Return the best start of one relaxation within the steady values along a record."""
     zeros = np.zeros_like(record.t)
     inputs = [record.dq, record.q, record.tau_load, zeros]
-    _, b, r = KernelRun(_reading_kernel(law.form), inputs, zeros).evaluate(coefficient_array(law)).T
-    is_relaxing = r > 1e-9 * max(float(r.max()), 1e-300)
-    limit = float(np.max(np.abs(b[is_relaxing] / r[is_relaxing]), initial=0.0))
+    reading = KernelRun(_reading_kernel(law.form), inputs, zeros)
+    _, drive, rate = reading.evaluate(coefficient_array(law)).T
+    # Rates that are round-off, of a joint at rest, have no steady value.
+    is_relaxing = rate > 1e-9 * max(float(rate.max()), 1e-300)
+    limit = float(np.max(np.abs(drive[is_relaxing] / rate[is_relaxing]), initial=0.0))
+    # The error may have several minima; the search begins around the best of a grid.
+    start_record = record.rows(slice(0, law.start_samples))
     grid = np.linspace(-limit, limit, 41)
-    nearest = int(np.argmin([error((float(x),)) for x in grid]))
+    errors = [_measure_error(law, start_record, (float(x),)) for x in grid]
+    nearest = int(np.argmin(errors))
     lower = grid[max(nearest - 1, 0)]
     upper = grid[min(nearest + 1, len(grid) - 1)]
-    return law.start if lower == upper else find_best_start(lambda x: (x,), lower, upper)
+    if lower == upper:
+        return law.start
+    return _find_best_start(law, start_record, lambda x: (x,), lower, upper)
+
+
+def _measure_error(law: FrictionLaw, record: FrictionRecord, start: tuple[float, ...]) -> float:
+    """Return the sum of squared errors [N^2.m^2] of a law over a record from a start."""
+    tau_predicted = predict(law, **record.motion, start=start)
+    return float(np.sum((tau_predicted - record.tau) ** 2))
+
+
+def _find_best_start(
+    law: FrictionLaw,
+    record: FrictionRecord,
+    build_start: Callable[[float], tuple[float, ...]],
+    lower: float,
+    upper: float,
+) -> tuple[float, ...]:
+    """Return the start of a number within limits whose error over a record is lowest."""
+    optimum = scipy.optimize.minimize_scalar(
+        lambda x: _measure_error(law, record, build_start(x)),
+        bounds=(lower, upper),
+        method="bounded",
+    )
+    return build_start(float(optimum.x))
 
 
 @lru_cache(maxsize=256)
 def _step_kernel(form: LawForm, *, fixed_coefficients: bool) -> Kernel:
-    symbols = _symbols(form)
-    kernel_numbers, columns = (symbols, INPUTS) if fixed_coefficients else ((), (*symbols, *INPUTS))
+    numbers = _symbols(form)
+    inputs = INPUTS
+    if not fixed_coefficients:  # they differ by row
+        inputs = (*numbers, *INPUTS)
+        numbers = ()
     states = tuple(element.state for element in form.memory)
-    return Kernel(form.memory, kernel_numbers, columns, (form.output, *states), once=True)
+    return Kernel(form.memory, numbers, inputs, (form.output, *states), once=True)
 
 
 class LawStepper:
@@ -243,8 +263,12 @@ class LawStepper:
 
     def __init__(self, law: FrictionLaw, values: Array | None = None) -> None:
         self._kernel = _step_kernel(law.form, fixed_coefficients=values is None)
-        self._numbers = coefficient_array(law) if values is None else np.zeros(0)
-        self._values = np.zeros((0, 0)) if values is None else values
+        if values is None:
+            self._numbers = coefficient_array(law)
+            self._values = np.zeros((0, 0))
+        else:
+            self._numbers = np.zeros(0)
+            self._values = values
         self._is_euler = law.discretisation == "euler"
         self._table = np.zeros((0, 0))
         self._run: KernelRun | None = None
