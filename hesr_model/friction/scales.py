@@ -11,7 +11,7 @@ which adds no energy. Their derivative by the level is F_i xi_i: xi_i = dx_i/dc 
 is clipped and keeps its value otherwise.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import sympy
@@ -41,14 +41,9 @@ def add_scales(form: LawForm) -> LawForm:
     if any(isinstance(element, Relaxation) and is_bristle(element) for element in form.memory):
         level = larger(level, MIN_SCALE)
     memory = tuple(scale_element(element, level) for element in form.memory)
-    scaled_elements = [
-        element for element, scaled in zip(form.memory, memory, strict=True) if element != scaled
-    ]
-    normalised = {
-        symbol: symbol / level
-        for element in scaled_elements
-        for symbol in (element.state, element.derivative)
-    }
+    scaled_elements = _find_scaled_elements(form.memory, memory)
+    normalised = {symbol: symbol / level for symbol in _list_states(scaled_elements)}
+    states = set(_list_states(form.memory))
     common, terms = _split_terms(form.output)
     parts: dict[str, list[sympy.Expr]] = {
         "viscous": [],
@@ -57,9 +52,8 @@ def add_scales(form: LawForm) -> LawForm:
         "unscaled": [],
     }
     for term in terms:
-        parts[_classify_term(common * term, _states(form), normalised.keys())].append(
-            term.xreplace(normalised)
-        )
+        part = _classify_term(common * term, states, normalised.keys())
+        parts[part].append(term.xreplace(normalised))
     output = common.xreplace(normalised) * sympy.Add(
         VISCOUS.symbol * sympy.Add(*parts["viscous"]),
         level * sympy.Add(*parts["coulomb"]),
@@ -73,7 +67,15 @@ def scale_element(element: Element, level: sympy.Expr) -> Element:
     """Multiply an element's bound, if any, by `level`."""
     if isinstance(element, Stop):
         return replace(element, bound=element.bound * level)
-    return replace(element, rate=element.rate / level) if is_bristle(element) else element
+    if not is_bristle(element):
+        return element
+    return replace(element, rate=element.rate / level)
+
+
+def _find_scaled_elements(memory: Sequence[Element], scaled: Sequence[Element]) -> list[Element]:
+    """Return the elements that differ from their scaled ones."""
+    pairs = zip(memory, scaled, strict=True)
+    return [element for element, scaled_element in pairs if element != scaled_element]
 
 
 def is_bristle(element: Relaxation) -> bool:
@@ -85,19 +87,26 @@ def is_bristle(element: Relaxation) -> bool:
 def has_viscous(form: LawForm) -> bool:
     """Return True if a form has a viscous term."""
     common, terms = _split_terms(form.output)
-    return any(_classify_term(common * term, _states(form), ()) == "viscous" for term in terms)
+    states = set(_list_states(form.memory))
+    return any(_classify_term(common * term, states, ()) == "viscous" for term in terms)
 
 
-def _states(form: LawForm) -> set[sympy.Symbol]:
-    return {symbol for element in form.memory for symbol in (element.state, element.derivative)}
+def _list_states(memory: Iterable[Element]) -> list[sympy.Symbol]:
+    """Return state and derivative of each element."""
+    symbols = []
+    for element in memory:
+        symbols += [element.state, element.derivative]
+    return symbols
 
 
 def _split_terms(output: sympy.Expr) -> tuple[sympy.Expr, tuple[sympy.Expr, ...]]:
+    """Return a common factor and the terms of an output, which have it."""
     factors = sympy.Mul.make_args(output)
-    sums = [f for f in factors if f.is_Add]
+    sums = [factor for factor in factors if factor.is_Add]
     if len(sums) != 1:
         return sympy.S.One, (output,)
-    return sympy.Mul(*(f for f in factors if f is not sums[0])), sympy.Add.make_args(sums[0])
+    common = sympy.Mul(*(factor for factor in factors if factor is not sums[0]))
+    return common, sympy.Add.make_args(sums[0])
 
 
 def _classify_term(
@@ -110,7 +119,9 @@ def _classify_term(
     symbols = term.free_symbols
     if symbols & {*carried}:
         return "carried"
-    return "coulomb" if symbols & {*states} or (DQ in symbols and Q not in symbols) else "unscaled"
+    if symbols & {*states} or (DQ in symbols and Q not in symbols):
+        return "coulomb"
+    return "unscaled"
 
 
 MIN_CHANGE = 0.1  # smallest relative change of friction to detect
@@ -136,49 +147,46 @@ def split_torque(
     """Return a law with a level and a factor `warmth` on its bounds; ExportError without bounds."""
     form = law.form
     memory = tuple(scale_element(element, level * warmth) for element in form.memory)
-    scaled_elements = [
-        element for element, scaled in zip(form.memory, memory, strict=True) if element != scaled
-    ]
+    scaled_elements = _find_scaled_elements(form.memory, memory)
     if not scaled_elements:
         raise ExportError(
             f"law '{law.name}' has neither stops nor bristles to scale; use ParFam-S or LuGre, for "
             "example."
         )
-    states = {
-        symbol: sympy.Integer(0)
-        for element in form.memory
-        for symbol in (element.state, element.derivative)
-    }
-    stateless = form.output.subs(states)
+    stateless = form.output.subs(dict.fromkeys(_list_states(form.memory), sympy.Integer(0)))
     terms = sympy.Add.make_args(sympy.expand_mul(stateless))
-    viscous = [t for t in terms if DQ in t.free_symbols and not {Q, TAU_LOAD} & t.free_symbols]
-    stop_names = {
-        element: f"along_{element.name}" for element in scaled_elements if isinstance(element, Stop)
-    }
+    viscous = []
+    unscaled = []
+    for term in terms:
+        symbols = term.free_symbols
+        if DQ in symbols and not {Q, TAU_LOAD} & symbols:
+            viscous.append(term)
+        else:
+            unscaled.append(term)
+    at_rest = {element.derivative: 0 for element in form.memory}
     level_slope = sympy.S.Zero
+    sensitivities = []
     for element in scaled_elements:
-        state_slope = (
-            sympy.Symbol(stop_names[element], real=True)
-            if element in stop_names
-            else element.state / level  # steady value of a sliding bristle
-        )
-        level_slope += (
-            form.output.diff(element.state).subs({other.derivative: 0 for other in form.memory})
-            * state_slope
-        )
+        if isinstance(element, Stop):
+            sensitivity = _derive_sensitivity(element, level, warmth)
+            sensitivities.append(sensitivity)
+            state_slope = sensitivity.symbol
+        else:
+            state_slope = element.state / level  # steady value of a sliding bristle
+        level_slope += form.output.diff(element.state).subs(at_rest) * state_slope
     return TorqueParts(
         memory=memory,
         hysteresis=sympy.expand_mul(form.output - stateless),
         viscous=sympy.Add(*viscous),
-        unscaled=sympy.Add(*(t for t in terms if t not in viscous)),
+        unscaled=sympy.Add(*unscaled),
         level_slope=level_slope,
-        sensitivities=tuple(
-            _derive_sensitivity(stop, name, level, warmth) for stop, name in stop_names.items()
-        ),
+        sensitivities=tuple(sensitivities),
     )
 
 
-def _derive_sensitivity(stop: Stop, name: str, level: sympy.Expr, warmth: sympy.Expr) -> Equation:
+def _derive_sensitivity(stop: Stop, level: sympy.Expr, warmth: sympy.Expr) -> Equation:
+    """Return the derivative of a stop by the level; see the module."""
+    name = f"along_{stop.name}"
     bound = warmth * positive(stop.bound)
     clipped = exceeds(absolute(stop.state), _CLIPPED_SHARE * level * bound)
     return Equation(
