@@ -178,15 +178,10 @@ def band_equations(
     middle = (MAX_COVERAGE + MIN_COVERAGE) / 2
     reach = (MAX_COVERAGE - MIN_COVERAGE) / 2
     probability = middle + clip(COVERAGE.symbol - middle, reach)
-    factor = Equation(
-        name="band_factor",
-        expression=sympy.exp(
-            _TAIL * sympy.log(sympy.log(1 - probability) / float(np.log(1 - LEVEL)))
-        ),
-    )
-    half_width = Equation(
-        name="band", expression=sympy.sqrt(values[VARIANCE] + _TINY_VARIANCE) * factor.symbol
-    )
+    tail_ratio = sympy.log(1 - probability) / float(np.log(1 - LEVEL))
+    factor = Equation(name="band_factor", expression=sympy.exp(_TAIL * sympy.log(tail_ratio)))
+    deviation = sympy.sqrt(values[VARIANCE] + _TINY_VARIANCE)
+    half_width = Equation(name="band", expression=deviation * factor.symbol)
     torque = sympy.Symbol(TORQUE, real=True)
     resting = _ENVELOPE * values[_RESTING] ** 2
     ahead, behind = (sympy.Symbol(name, real=True) for name in ("ahead", "behind"))
@@ -195,11 +190,14 @@ def band_equations(
         edge = torque + sign * half_width.symbol
         furthest = sign * (larger(sign * ahead, sign * behind) + _FLOOR * factor.symbol)
         end = edge + resting * (furthest - edge)
+        expression = end
+        if squares:
+            expression = positive(sign * (end - torque)) ** 2
         return Equation(
             name=name,
             unit="N.m",
             description=f"{text} end of the band of the measured friction {{effort}} of {{joint}}",
-            expression=positive(sign * (end - torque)) ** 2 if squares else end,
+            expression=expression,
             output=True,
         )
 

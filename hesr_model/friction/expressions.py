@@ -128,7 +128,9 @@ class CoefficientTable:
         head = ("joint", "name", "value", "unit", "standard error", "95 % interval", "at a bound")
         rows = []
         for row in self.rows:
-            interval = "" if row.lower is None else f"{row.lower:.4g} to {row.upper:.4g}"
+            interval = ""
+            if row.lower is not None:
+                interval = f"{row.lower:.4g} to {row.upper:.4g}"
             error = "" if row.standard_error is None else row.standard_error
             bound = "yes" if row.at_bound else ""
             rows.append((row.joint, row.name, row.value, row.unit, error, interval, bound))
@@ -137,5 +139,7 @@ class CoefficientTable:
     def to_pandas(self) -> Any:
         """Return a `pandas.DataFrame`, one row per coefficient; ConfigError without pandas."""
         records = [asdict(row) for row in self.rows]
-        columns = {name: [record[name] for record in records] for name in records[0]}
+        columns = {}
+        for name in records[0]:
+            columns[name] = [record[name] for record in records]
         return frames.pandas_frame(columns)

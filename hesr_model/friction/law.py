@@ -25,6 +25,7 @@ from hesr_model.equations.memory import (
     MemoryElement,
     Relaxation,
     Stop,
+    find_read_symbols,
     to_expression,
 )
 from hesr_model.errors import ArtifactError
@@ -172,27 +173,21 @@ class LawForm:
     @cached_property
     def inputs(self) -> tuple[sympy.Symbol, ...]:
         """Inputs that the law uses, in the order of `INPUTS`."""
-        parts = sympy.Tuple(
-            self.output, *(part for element in self.memory for part in element.parts)
-        )
-        return tuple(
-            quantity.symbol for quantity in QUANTITIES if quantity.symbol in parts.free_symbols
-        )
+        read_symbols = self.output.free_symbols | find_read_symbols(self.memory)
+        return tuple(quantity.symbol for quantity in QUANTITIES if quantity.symbol in read_symbols)
 
     @cached_property
     def sliding(self) -> "LawForm":
         """The same equations in the units of a prismatic joint."""
-        return replace(
-            self,
-            coefficients=tuple(
-                replace(quantity, unit=unit_of_joint(quantity.unit, is_prismatic=True))
-                for quantity in self.coefficients
-            ),
-            memory=tuple(
-                replace(element, unit=unit_of_joint(element.unit, is_prismatic=True))
-                for element in self.memory
-            ),
-        )
+        coefficients = []
+        for quantity in self.coefficients:
+            unit = unit_of_joint(quantity.unit, is_prismatic=True)
+            coefficients.append(replace(quantity, unit=unit))
+        memory = []
+        for element in self.memory:
+            unit = unit_of_joint(element.unit, is_prismatic=True)
+            memory.append(replace(element, unit=unit))
+        return replace(self, coefficients=tuple(coefficients), memory=tuple(memory))
 
 
 def _require_items(attribute: str, items: object, kind: type, expected: str) -> tuple[Any, ...]:
@@ -243,9 +238,9 @@ class FrictionLaw:
         coefficient_names = [quantity.name for quantity in self.form.coefficients]
         if sorted(coefficient_names) != sorted(self.values):
             wrong_name = sorted(set(coefficient_names) ^ set(self.values))[0]
+            defect = "missing" if wrong_name in coefficient_names else "unknown"
             raise ArtifactError(
-                f"law '{self.name}': coefficient '{wrong_name}' is "
-                f"{'missing' if wrong_name in coefficient_names else 'unknown'}; expected "
+                f"law '{self.name}': coefficient '{wrong_name}' is {defect}; expected "
                 f"{', '.join(coefficient_names)}.",
                 code="law.coefficient",
                 key=f"coefficients.{wrong_name}",
@@ -288,6 +283,11 @@ class FrictionLaw:
         for quantity in self.form.coefficients:
             value = self.values[quantity.name]
             error = self.standard_errors.get(quantity.name)
+            lower = None
+            upper = None
+            if error is not None:
+                lower = value - INTERVAL * error
+                upper = value + INTERVAL * error
             rows.append(
                 CoefficientRow(
                     joint=joint,
@@ -295,8 +295,8 @@ class FrictionLaw:
                     value=value,
                     unit=quantity.unit,
                     standard_error=error,
-                    lower=None if error is None else value - INTERVAL * error,
-                    upper=None if error is None else value + INTERVAL * error,
+                    lower=lower,
+                    upper=upper,
                     at_bound=quantity.name in held_names,
                     description=quantity.description,
                 )
@@ -308,15 +308,12 @@ class FrictionLaw:
         units = {quantity.symbol: quantity.unit for quantity in QUANTITIES}
         units |= {quantity.symbol: quantity.unit for quantity in self.form.coefficients}
         units |= {element.state: element.unit for element in self.form.memory}
+        derivatives = {element.state: element.express_derivative() for element in self.form.memory}
+        values = {
+            quantity.symbol: self.values[quantity.name] for quantity in self.form.coefficients
+        }
         return LawExpressions(
-            torque=self.form.output,
-            derivatives={
-                element.state: element.express_derivative() for element in self.form.memory
-            },
-            values={
-                quantity.symbol: self.values[quantity.name] for quantity in self.form.coefficients
-            },
-            units=units,
+            torque=self.form.output, derivatives=derivatives, values=values, units=units
         )
 
     def _require_number(self, label: str, value: float, key: str) -> None:
@@ -337,11 +334,9 @@ def add_low_pass(law: FrictionLaw, cutoff: float) -> FrictionLaw:
     """Return a law whose velocity passes a causal low pass with a cutoff [Hz]; not for files."""
     speed = build_low_pass(DQ, cutoff, "rad/s")
     replacements = {DQ: speed.state}
-    form = replace(
-        law.form,
-        memory=(speed, *(element.subs(replacements) for element in law.form.memory)),
-        output=law.form.output.xreplace(replacements),
-    )
+    memory = [element.subs(replacements) for element in law.form.memory]
+    output = law.form.output.xreplace(replacements)
+    form = replace(law.form, memory=(speed, *memory), output=output)
     return replace(law, form=form, start=(0.0, *law.start))
 
 

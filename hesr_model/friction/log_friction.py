@@ -34,8 +34,9 @@ def separate_friction(
 ) -> list[FrictionRecord]:
     """Return the friction of all joints in a log; the robot is by default that of the log."""
     read = read_log(log, robot)
-    known_robot = read.robot if robot is None else robot
-    if known_robot is None:
+    if robot is None:
+        robot = read.robot
+    if robot is None:
         raise LogError(
             f"{read.where}: the log does not name its robot; give 'robot'.",
             code="log.robot",
@@ -44,7 +45,7 @@ def separate_friction(
         )
     if not isinstance(body, RigidBody):
         body = RigidBody.read(to_path(body, "'rigid_body'"))
-    return friction_records(read, to_robot(known_robot), body)
+    return friction_records(read, to_robot(robot), body)
 
 
 def mean_determination(tau: Array, tau_predicted: Array) -> float:
@@ -52,5 +53,8 @@ def mean_determination(tau: Array, tau_predicted: Array) -> float:
     scores = []
     for error, measured in zip((tau_predicted - tau).T, tau.T, strict=True):
         spread = float(np.std(measured))
-        scores.append(1.0 - (rmse(error) / spread) ** 2 if spread else float(rmse(error) == 0.0))
+        if spread:
+            scores.append(1.0 - (rmse(error) / spread) ** 2)
+        else:
+            scores.append(float(rmse(error) == 0.0))
     return float(np.mean(scores))

@@ -59,17 +59,18 @@ class JointEntry:
     def from_law(cls, law: FrictionLaw, **joint_fields: Any) -> Self:
         """Return the entry of a law; `joint_fields` are the fields outside the law."""
         units = {quantity.name: quantity.unit for quantity in law.form.coefficients}
+        coefficients = {}
+        for name, value in law.values.items():
+            error = law.standard_errors.get(name)
+            coefficients[name] = _CoefficientEntry(
+                value=value, unit=units[name], standard_error=error
+            )
         has_usual_start = law.form.steady_speed == MOVING
         return cls(
             steady_speed=None if has_usual_start else law.form.steady_speed,
             law=law.name,
             structure=law.structure,
-            coefficients={
-                name: _CoefficientEntry(
-                    value=value, unit=units[name], standard_error=law.standard_errors.get(name)
-                )
-                for name, value in law.values.items()
-            },
+            coefficients=coefficients,
             **{name: getattr(law, name) for name in _LAW_FIELDS},
             **joint_fields,
         )
@@ -111,12 +112,11 @@ class JointEntry:
 
 def _count_leaves(data: Any) -> int:
     """Return the number of values in nested lists and mappings."""
-    parts = data.values() if isinstance(data, Mapping) else data
-    return (
-        sum(map(_count_leaves, parts))
-        if isinstance(parts, Mapping | list | tuple | ValuesView)
-        else 1
-    )
+    if isinstance(data, Mapping):
+        return sum(map(_count_leaves, data.values()))
+    if isinstance(data, list | tuple | ValuesView):
+        return sum(map(_count_leaves, data))
+    return 1
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,8 +29,13 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.robots.mjcf import compile_model, import_engine
 
 LAW_NAME = "mujoco"
-_STIFFNESS, _MICRO_DAMPING = 5, 6  # places in actuator_dynprm
-_COULOMB, _STATIC, _STRIBECK = 3, 4, 5  # places in actuator_biasprm
+# Places in actuator_dynprm.
+_STIFFNESS = 5
+_MICRO_DAMPING = 6
+# Places in actuator_biasprm.
+_COULOMB = 3
+_STATIC = 4
+_STRIBECK = 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,8 +90,10 @@ def _build_form(mj_model: Any, j: int, subject: str) -> LawForm:
     gears = [float(mj_model.actuator_gear[k, 0]) for k in actuators]
     coefficients = np.concatenate([[mj_model.dof_damping[dof]], mj_model.dof_dampingpoly[dof]])
     for k, gear in zip(actuators, gears, strict=True):
-        own = np.concatenate([[mj_model.actuator_damping[k]], mj_model.actuator_dampingpoly[k]])
-        coefficients = coefficients + gear**2 * own
+        actuator_coefficients = np.concatenate(
+            [[mj_model.actuator_damping[k]], mj_model.actuator_dampingpoly[k]]
+        )
+        coefficients = coefficients + gear**2 * actuator_coefficients
     output = sympy.Float(float(mj_model.dof_frictionloss[dof])) * sgn(DQ)
     for power, coefficient in enumerate(coefficients.tolist()):
         output += sympy.Float(coefficient) * DQ * absolute(DQ) ** power

@@ -40,13 +40,15 @@ class JointServo:
     def scale(self, factor: float) -> Self:
         """Return the servo with all torques multiplied, which moves nothing."""
         limit = self.torque_limit
+        if limit is not None:
+            limit = factor * limit
         return replace(
             self,
             kp=factor * self.kp,
             ki=factor * self.ki,
             kd=factor * self.kd,
             armature=factor * self.armature,
-            torque_limit=None if limit is None else factor * limit,
+            torque_limit=limit,
             body_factor=factor * self.body_factor,
             added_factor=factor * self.added_factor,
         )

@@ -33,6 +33,7 @@ class MotionTable:
                 f"y has {friction.shape[1]} columns, but X is the motion of {n} joints; expected "
                 "one column for each joint."
             )
+        joints = robot_joints or [f"joint{number}" for number in range(1, n + 1)]
         return [
             FrictionRecord(
                 log="table",
@@ -43,7 +44,7 @@ class MotionTable:
                 tau_load=np.ascontiguousarray(self.load[:, j]),
                 tau=np.ascontiguousarray(friction[:, j]),
             )
-            for j, joint in enumerate(robot_joints or [f"joint{j}" for j in range(1, n + 1)])
+            for j, joint in enumerate(joints)
         ]
 
 
@@ -57,7 +58,8 @@ def read_numbers(table: Any, name: str = "X") -> tuple[Array, tuple[str, ...]]:
         values = _stack_columns(table, name)
     else:
         columns = getattr(table, "columns", ())
-        names = tuple(columns) if all(isinstance(c, str) for c in columns) else ()
+        if all(isinstance(column, str) for column in columns):
+            names = tuple(columns)
         values = np.asarray(table)
     if np.iscomplexobj(values):
         raise TableError(f"Complex data not supported: {name} must hold real numbers.")
@@ -88,8 +90,12 @@ def read_torques(y: Any, rows: int) -> Array:
             "a table of motion requires y to be passed, but the target y is None; pass the "
             "measured torque."
         )
-    raw_torques = y if hasattr(y, "tocsr") else np.asarray(y)
-    tau, _ = read_numbers(raw_torques.reshape(-1, 1) if raw_torques.ndim == 1 else raw_torques, "y")
+    torques = y
+    if not hasattr(y, "tocsr"):
+        torques = np.asarray(y)
+    if torques.ndim == 1:
+        torques = torques.reshape(-1, 1)
+    tau, _ = read_numbers(torques, "y")
     if len(tau) != rows:
         raise TableError(f"X has {rows} rows and y {len(tau)}; the numbers must be equal.")
     return tau
@@ -138,15 +144,20 @@ def _split_by_name(values: Array, names: Sequence[str]) -> dict[str, Array]:
         )
     columns: dict[str, dict[int, Array]] = {}
     for name, column in zip(names, values.T, strict=True):
+        if name == "t":
+            columns["t"] = {1: column}
+            continue
         match = _COLUMN_NAME.fullmatch(name)
-        if name != "t" and not match:
+        if not match:
             raise TableError(f"X has the unknown column '{name}'; {_EXPECTED_COLUMNS}.")
-        kind, number = (match[1], int(match[2] or 1)) if match else ("t", 1)
-        columns.setdefault(kind.removeprefix("tau_"), {})[number] = column
-    return {
-        kind: np.column_stack([joint_columns[k] for k in sorted(joint_columns)])
-        for kind, joint_columns in columns.items()
-    }
+        kind = match[1].removeprefix("tau_")
+        number = int(match[2] or 1)
+        columns.setdefault(kind, {})[number] = column
+    tables = {}
+    for kind, joint_columns in columns.items():
+        in_order = [joint_columns[number] for number in sorted(joint_columns)]
+        tables[kind] = np.column_stack(in_order)
+    return tables
 
 
 def _split_by_order(values: Array) -> dict[str, Array]:

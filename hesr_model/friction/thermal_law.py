@@ -70,8 +70,10 @@ def predict_thermal(
         **{scale.name: 1.0 for scale in SCALES},
         **input_parameters,
     }
-    first_states = (0.0, *(law.start if start is None else start))
+    is_settled = start is None
+    if start is None:
+        start = law.start
+    first_states = (0.0, *start)  # the joint is as warm as the ambient
     steps = Steps(component, [TORQUE])
-    return np.asarray(
-        steps.simulate(record.t, columns, values, first_states, settled=start is None)[0]
-    )
+    [tau] = steps.simulate(record.t, columns, values, first_states, settled=is_settled)
+    return np.asarray(tau)
