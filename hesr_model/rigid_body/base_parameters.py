@@ -48,13 +48,11 @@ def known_columns(robot: Robot) -> list[int]:
 def unknown_columns(robot: Robot, *, rotors: bool = False) -> tuple[int, ...]:
     """Return a largest set of independent unknown columns; `rotors` add those behind gears."""
     known_indices = known_columns(robot)
-    rotor_columns = range(10 * robot.links, robot.inertial) if rotors else ()
-    return tuple(
-        sorted(
-            {*base_columns(robot, [*known_indices, *rotor_columns]), *rotor_columns}
-            - {*known_indices}
-        )
-    )
+    rotor_columns = set[int]()
+    if rotors:
+        rotor_columns = set(range(10 * robot.links, robot.inertial))
+    independent = {*base_columns(robot, [*known_indices, *rotor_columns]), *rotor_columns}
+    return tuple(sorted(independent - set(known_indices)))
 
 
 def dependence(robot: Robot, base: tuple[int, ...]) -> Array:
@@ -67,7 +65,9 @@ def find_independent_offsets(robot: Robot, base: tuple[int, ...]) -> Mask:
     """Return whether constant torques are independent of `base`, as with a vertical weight."""
     columns = sample_regressor(robot)[:, list(base)]
     coupling = robot.description.coupling
-    unit_torques = np.eye(robot.n) if coupling is None else coupling.forward.T
+    unit_torques = np.eye(robot.n)
+    if coupling is not None:
+        unit_torques = coupling.forward.T
     constant = np.tile(unit_torques, (_RANDOM_STATES, 1)) / np.sqrt(_RANDOM_STATES)
     residual = constant - columns @ np.linalg.lstsq(columns, constant, rcond=None)[0]
     return np.asarray(np.linalg.norm(residual, axis=0) > np.sqrt(_RANK_TOLERANCE))

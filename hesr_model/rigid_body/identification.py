@@ -4,6 +4,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -17,7 +18,14 @@ from hesr_model.logs.signals import Motion, smooth, smooth_logs
 from hesr_model.rigid_body import observations
 from hesr_model.rigid_body import physical as consistent
 from hesr_model.rigid_body.base_parameters import known_columns, sample_regressor, unknown_columns
-from hesr_model.rigid_body.elasticity import FIXED, ElasticGear, add_gears, build_gears, gear_forms
+from hesr_model.rigid_body.elasticity import (
+    FIXED,
+    ElasticGear,
+    GearForm,
+    add_gears,
+    build_gears,
+    gear_forms,
+)
 from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.least_squares import Block, Solution, estimate_covariance, solve
 from hesr_model.robots.robot import Robot, RobotLike, to_robot
@@ -129,11 +137,9 @@ class RigidBody:
         )
 
     def _repr_html_(self) -> str:
-        numbers = [self.parameters[k] for k in self.base]
-        rows = (
-            (self.names[k], float(value), float(error))
-            for k, value, error in zip(self.base, numbers, self.standard_errors, strict=True)
-        )
+        rows = []
+        for k, error in zip(self.base, self.standard_errors, strict=True):
+            rows.append((self.names[k], float(self.parameters[k]), float(error)))
         head = ("base parameter [SI]", "value", "standard error")
         return html_table(f"Rigid body of '{self.robot}', {self.method}", head, rows)
 
@@ -150,10 +156,11 @@ class RigidBody:
         RobotError
             If the robot is unknown or another one.
         """
-        known_robot = log.robot if robot is None else robot
-        if known_robot is None:
+        if robot is None:
+            robot = log.robot
+        if robot is None:
             raise RobotError(f"{log.where}: the log does not name its robot; give 'robot'.")
-        model = to_robot(known_robot)
+        model = to_robot(robot)
         motion = smooth(log, model.description.log.filter_cutoff)
         tau_body = self.torque(model, motion)
         draw = plugins.find("hesr.objects", "plot-body")
@@ -209,13 +216,11 @@ class RigidBody:
         columns = list(self.base)
         _, s, vt = np.linalg.svd(sample_regressor(model)[:, columns] @ spread, full_matrices=False)
         spread = spread @ vt[s > _MIN_ERROR_SHARE * s[0]].T
-        parts = [
-            model.regressor(*(state[k] for state in motion.states))[:, :, columns] @ spread
-            for k in (
-                slice(first, first + ROWS_AT_ONCE)
-                for first in range(0, len(motion.t), ROWS_AT_ONCE)
-            )
-        ]
+        parts = []
+        for first in range(0, len(motion.t), ROWS_AT_ONCE):
+            rows = slice(first, first + ROWS_AT_ONCE)
+            states = [state[rows] for state in motion.states]
+            parts.append(model.regressor(*states)[:, :, columns] @ spread)
         return np.concatenate(parts)
 
     @pydantic.model_serializer(mode="wrap")
@@ -238,8 +243,9 @@ class RigidBody:
             raise RuleError(
                 "its parameters have no names", code="body.parameters", key="parameters"
             )
-        values: dict[str, Any] = {"parameters": list(parameters.values())} if parameters else {}
-        values["names"] = list(parameters)
+        values: dict[str, Any] = {"names": list(parameters)}
+        if parameters:
+            values["parameters"] = list(parameters.values())
         if "kind" not in data and "physical" in data:  # of earlier versions
             values["kind"] = "physical" if data["physical"] is True else "free"
             data = {key: value for key, value in data.items() if key != "physical"}
@@ -309,7 +315,9 @@ def identify_motions(
         physical=physical,
         warns=warns,
     )
-    held_names = _find_impossible_inertias(body, robot) if holds else ()
+    if not holds:
+        return body
+    held_names = _find_impossible_inertias(body, robot)
     if not held_names:
         return body
     known_names = (*(robot.description.known or ()), *held_names)
@@ -375,75 +383,145 @@ def _identify(
         raise FitError(
             f"robot '{robot.name}': 'physical' excludes 'known' of the robot file; remove one."
         )
-    all_motions = [*motions, *reversed_motions]
-    fast_rows = observations.find_fast_rows(all_motions, robot) if all_motions else []
-    forms = gear_forms(all_motions, robot, fast_rows)
+    forms = _find_gear_forms([*motions, *reversed_motions], robot)
     if forms and (physical or method == "paper"):
         raise FitError(
             f"robot '{robot.name}': link encoders ('log.columns.q_link') exclude 'physical' and "
             "'method' paper; leave them out."
         )
-    motions, reversed_motions = (
-        observations.remove_known_torque(group_motions, robot)
-        for group_motions in (motions, reversed_motions)
+    problem = _Problem(
+        motions=observations.remove_known_torque(motions, robot),
+        reversed_motions=observations.remove_known_torque(reversed_motions, robot),
+        robot=robot,
+        method=method,
+        forms=forms,
     )
-    all_motions = [*motions, *reversed_motions]
-    base = unknown_columns(robot, rotors=bool(forms))
-    friction = observations.friction_columns(robot, base) & (method == "stacked")
-    is_determined = observations.find_determined_friction(all_motions, robot)
-    if forms:
-        is_determined[:, :2] = True  # columns of links, which `add_gears` fills
-    friction &= is_determined
-    where = "log " + ", ".join(motion.name for motion in all_motions)
-    link_columns = len(base) + np.cumsum(friction).reshape(friction.shape)[:, :2] - 1
-    rows = sum(len(motion.t) for motion in all_motions)
-    require_samples(where, rows, len(base) + int(np.sum(friction)))
-    has_inertia = any(k < robot.inertial for k in base)
-    peaks = observations.peak_speeds(all_motions, robot)
-    # A resting joint rests up to `MIN_PEAK_SPEED`, a slow one only up to a part of its peak.
-    require_speed(
-        where,
-        peaks,
-        robot,
-        observations.find_min_speeds(all_motions, robot) if has_inertia else np.zeros(robot.n),
-    )
-
-    def build_blocks(columns: tuple[int, ...]) -> list[Block]:
-        if method == "paper":
-            return observations.average_blocks(motions, reversed_motions, robot, columns)
-        blocks = observations.stack_blocks(all_motions, robot, columns, friction)
-        return add_gears(blocks, forms, columns, robot, link_columns) if forms else blocks
-
-    blocks = build_blocks(base)
+    problem.require_data()
     weighting = weighting or ("ols" if method == "paper" else "wls")
-    gear_sizes = [np.sqrt(np.mean(form.columns**2, axis=0)) for form in forms]
-    scale = np.concatenate([compute_scale(robot, base, friction, peaks), *gear_sizes])
-    is_element = [np.arange(len(size)) >= FIXED for size in gear_sizes]
-    is_loose = np.concatenate([find_loose_columns(robot, base, friction), *is_element])
-    solution = solve(blocks, scale=scale, weighted=weighting == "wls", is_loose=is_loose)
+    blocks = problem.build_blocks(problem.base)
+    solution = solve(
+        blocks,
+        scale=problem.build_scale(),
+        weighted=weighting == "wls",
+        is_loose=problem.mark_loose_columns(),
+    )
     if warns and not physical:
-        warn_of_ridge(where, solution)
-    labels = observations.label_samples(motions if method == "paper" else all_motions)
-    covariance = estimate_covariance(blocks, solution, labels)
+        warn_of_ridge(problem.where, solution)
+    covariance = estimate_covariance(blocks, solution, problem.labels)
     body = build_body(
         solution,
         covariance,
         robot,
-        base,
-        friction,
-        rows=rows,
-        logs=tuple(dict.fromkeys(motion.name for motion in all_motions)),
+        problem.base,
+        problem.friction,
+        rows=problem.row_count,
+        logs=problem.logs,
         method=method,
         weighting=weighting,
     )
     if forms:
-        estimates = solution.x, covariance.standard_errors
-        return replace(body, gears=build_gears(forms, robot.joints, *estimates, link_columns))
+        std_errors = covariance.standard_errors
+        gears = build_gears(forms, robot.joints, solution.x, std_errors, problem.link_columns)
+        return replace(body, gears=gears)
     if not physical:
         return body
+    all_columns = tuple(range(len(body.names)))
     return _make_consistent(
-        body, build_blocks(tuple(range(len(body.names)))), robot, friction, labels
+        body, problem.build_blocks(all_columns), robot, problem.friction, problem.labels
     )
+
+
+def _find_gear_forms(motions: Sequence[Motion], robot: Robot) -> list[GearForm]:
+    """Return the forms of elastic gears, from rows of fast motion."""
+    fast_rows = []
+    if motions:
+        fast_rows = observations.find_fast_rows(motions, robot)
+    return gear_forms(motions, robot, fast_rows)
+
+
+class _Problem:
+    """Columns and rows of one least-squares problem, motions without known torque.
+
+    Attributes
+    ----------
+    base : indices of the unknown base parameters, whose columns come first.
+    friction : (n, 3) whether Coulomb, viscous and offset friction have a column.
+    peaks : (n,) peak speeds of friction coordinates.
+    link_columns : (n, 2) Coulomb and viscous columns of the link side of gears.
+    """
+
+    def __init__(
+        self,
+        *,
+        motions: Sequence[Motion],
+        reversed_motions: Sequence[Motion],
+        robot: Robot,
+        method: Method,
+        forms: Sequence[GearForm],
+    ) -> None:
+        self._motions = motions
+        self._reversed_motions = reversed_motions
+        self._all_motions = [*motions, *reversed_motions]
+        self._robot = robot
+        self._method = method
+        self._forms = forms
+        self.base = unknown_columns(robot, rotors=bool(forms))
+        self.friction = observations.friction_columns(robot, self.base) & (method == "stacked")
+        is_determined = observations.find_determined_friction(self._all_motions, robot)
+        if forms:
+            is_determined[:, :2] = True  # columns of links, which `add_gears` fills
+        self.friction &= is_determined
+        places = len(self.base) + np.cumsum(self.friction).reshape(self.friction.shape) - 1
+        self.link_columns = places[:, :2]
+        self.where = "log " + ", ".join(motion.name for motion in self._all_motions)
+        self.logs = tuple(dict.fromkeys(motion.name for motion in self._all_motions))
+        self.row_count = sum(len(motion.t) for motion in self._all_motions)
+
+    def require_data(self) -> None:
+        """Raise FitError if samples or speeds do not suffice."""
+        unknown_count = len(self.base) + int(np.sum(self.friction))
+        require_samples(self.where, self.row_count, unknown_count)
+        min_speeds = np.zeros(self._robot.n)
+        if any(k < self._robot.inertial for k in self.base):
+            # A resting joint rests up to `MIN_PEAK_SPEED`, a slow one only up to a part of its
+            # peak.
+            min_speeds = observations.find_min_speeds(self._all_motions, self._robot)
+        require_speed(self.where, self.peaks, self._robot, min_speeds)
+
+    @cached_property
+    def peaks(self) -> Array:
+        """See the class."""
+        return observations.peak_speeds(self._all_motions, self._robot)
+
+    @property
+    def labels(self) -> Integers:
+        """Log number (samples,) of each sample; the paper's are those of forward motions."""
+        if self._method == "paper":
+            return observations.label_samples(self._motions)
+        return observations.label_samples(self._all_motions)
+
+    def build_blocks(self, columns: tuple[int, ...]) -> list[Block]:
+        """Return the rows of each friction coordinate, with columns of inertial parameters."""
+        if self._method == "paper":
+            return observations.average_blocks(
+                self._motions, self._reversed_motions, self._robot, columns
+            )
+        blocks = observations.stack_blocks(self._all_motions, self._robot, columns, self.friction)
+        if not self._forms:
+            return blocks
+        return add_gears(blocks, self._forms, columns, self._robot, self.link_columns)
+
+    def build_scale(self) -> Array:
+        """Return the size of each column [N.m], those of gears last."""
+        body_scale = compute_scale(self._robot, self.base, self.friction, self.peaks)
+        gear_sizes = [np.sqrt(np.mean(form.columns**2, axis=0)) for form in self._forms]
+        return np.concatenate([body_scale, *gear_sizes])
+
+    def mark_loose_columns(self) -> Mask:
+        """Return whether each column is that of a spring, or of an element of a gear."""
+        is_spring = find_loose_columns(self._robot, self.base, self.friction)
+        is_element = [np.arange(form.columns.shape[1]) >= FIXED for form in self._forms]
+        return np.concatenate([is_spring, *is_element])
 
 
 def _make_consistent(
@@ -502,6 +580,7 @@ def build_body(
     parameters[list(base)] = solution.x[: len(base)]
     known_indices = known_columns(robot)
     parameters[known_indices] = robot.nominal_parameters[known_indices]
+    friction_coefficients = solution.x[len(base) :][: np.sum(friction)]
     return RigidBody(
         robot=robot.description.name,
         joints=robot.description.joints,
@@ -511,9 +590,7 @@ def build_body(
         standard_errors=covariance.standard_errors,
         condition=solution.condition,
         ridge=solution.ridge,
-        friction=observations.arrange_by_joint(
-            solution.x[len(base) :][: np.sum(friction)], friction
-        ),
+        friction=observations.arrange_by_joint(friction_coefficients, friction),
         rmse=solution.rmse[: robot.n],
         rows=rows,
         logs=logs,
