@@ -70,9 +70,8 @@ SLOW_SHARE = 0.25  # bound of `SLOW` over the peak speed, for slow joints such a
 
 def friction_speeds(motions: Sequence[Motion], robot: Robot) -> Array:
     """Return the velocities of friction coordinates, (N, n)."""
-    return transform_motion(
-        robot.description.coupling, np.concatenate([motion.dq for motion in motions])
-    )
+    dq = np.concatenate([motion.dq for motion in motions])
+    return transform_motion(robot.description.coupling, dq)
 
 
 def peak_speeds(motions: Sequence[Motion], robot: Robot) -> Array:
@@ -111,7 +110,8 @@ def find_fast_rows(
     motions: Sequence[Motion], robot: Robot, min_speeds: Array | None = None
 ) -> list[Mask]:
     """Return whether each friction coordinate is faster than `min_speeds` (n,) in each row."""
-    min_speeds = slow_speeds(peak_speeds(motions, robot)) if min_speeds is None else min_speeds
+    if min_speeds is None:
+        min_speeds = slow_speeds(peak_speeds(motions, robot))
     return list(min_speeds[:, None] < np.abs(friction_speeds(motions, robot)).T)
 
 
@@ -131,12 +131,10 @@ def find_determined_friction(motions: Sequence[Motion], robot: Robot) -> Mask:
     if not motions:
         return np.ones((robot.n, 3), dtype=bool)
     dq = friction_speeds(motions, robot)
-    return np.array(
-        [
-            find_independent_columns(stack_friction(dq[is_fast, j]))
-            for j, is_fast in enumerate(find_fast_rows(motions, robot))
-        ]
-    )
+    is_determined = []
+    for j, is_fast in enumerate(find_fast_rows(motions, robot)):
+        is_determined.append(find_independent_columns(stack_friction(dq[is_fast, j])))
+    return np.array(is_determined)
 
 
 def stack_friction(dq: Array) -> Array:
@@ -167,15 +165,16 @@ def stack_blocks(
 ) -> list[Block]:
     """Return a block per friction coordinate, of rows above `min_speeds`, friction columns last."""
     n = robot.n
-    states = [
-        np.concatenate(parts) for parts in zip(*(motion.states for motion in motions), strict=True)
-    ]
+    states_by_motion = [motion.states for motion in motions]
+    states = list(map(np.concatenate, zip(*states_by_motion, strict=True)))
     dq = states[1]
     tau = np.concatenate([motion.tau for motion in motions])
     regressor = robot.regressor(*states)[:, :, list(base)]
     coupling = robot.description.coupling
     if coupling is not None:
-        dq, tau, regressor = coupling.motion(dq), coupling.torque(tau), coupling.torque(regressor)
+        dq = coupling.motion(dq)
+        tau = coupling.torque(tau)
+        regressor = coupling.torque(regressor)
     blocks = []
     for j, is_fast in enumerate(find_fast_rows(motions, robot, min_speeds)):
         joint_dq = dq[is_fast, j]
@@ -198,33 +197,43 @@ def average_blocks(
             f"{len(motions)} logs come with {len(counterparts)} time-reversed ones; "
             "the paper's method needs one for each."
         )
-    pairs = [match_motions(*pair) for pair in zip(motions, counterparts, strict=True)]
-    regressor_pairs = ([robot.regressor(*motion.states) for motion in pair] for pair in pairs)
-    matrix = np.concatenate([0.5 * (a + b) for a, b in regressor_pairs])[:, :, list(base)]
-    target = np.concatenate([0.5 * (a.tau + b.tau) for a, b in pairs])
+    matched = list(map(match_motions, motions, counterparts))
+    means = [_average_pair(forward, backward, robot) for forward, backward in matched]
+    matrix = np.concatenate([regressor for regressor, _ in means])[:, :, list(base)]
+    target = np.concatenate([tau for _, tau in means])
     coupling = robot.description.coupling
     if coupling is not None:
-        matrix, target = coupling.torque(matrix), coupling.torque(target)
-    forward, backward = (friction_speeds(side, robot) for side in zip(*pairs, strict=True))
+        matrix = coupling.torque(matrix)
+        target = coupling.torque(target)
+    forward_dq = friction_speeds([forward for forward, _ in matched], robot)
+    backward_dq = friction_speeds([backward for _, backward in matched], robot)
     min_speeds = slow_speeds(peak_speeds([*motions, *counterparts], robot))
-    is_used = (np.minimum(np.abs(forward), np.abs(backward)) > min_speeds) & (
-        forward * backward < 0
-    )
+    is_fast = np.minimum(np.abs(forward_dq), np.abs(backward_dq)) > min_speeds
+    is_used = is_fast & (forward_dq * backward_dq < 0)
     for joint, rows in zip(robot.description.joints, is_used.T, strict=True):
         if not np.any(rows):
             raise FitError(
                 f"log {', '.join(motion.name for motion in motions)}: joint '{joint}' never moves "
                 "against its time-reversed counterpart; both logs must move it."
             )
-    first_samples = np.cumsum([0, *(len(motion.t) for motion in motions)])
-    matched_rows = (
-        np.flatnonzero(np.isin(motion.t, matched.t))
-        for motion, (matched, _) in zip(motions, pairs, strict=True)
-    )
-    samples = np.concatenate(
-        [start + log_rows for start, log_rows in zip(first_samples, matched_rows, strict=False)]
-    )
+    samples = _number_matched_samples(motions, [forward for forward, _ in matched])
     return [
-        Block(matrix=matrix[rows, joint], target=target[rows, joint], samples=samples[rows])
-        for joint, rows in enumerate(is_used.T)
+        Block(matrix=matrix[rows, j], target=target[rows, j], samples=samples[rows])
+        for j, rows in enumerate(is_used.T)
     ]
+
+
+def _average_pair(forward: Motion, backward: Motion, robot: Robot) -> tuple[Array, Array]:
+    """Return regressor (N, n, P) and torque (N, n) [N.m], means of matched motions."""
+    regressor = robot.regressor(*forward.states) + robot.regressor(*backward.states)
+    return 0.5 * regressor, 0.5 * (forward.tau + backward.tau)
+
+
+def _number_matched_samples(motions: Sequence[Motion], matched: Sequence[Motion]) -> Integers:
+    """Return the sample numbers, among all rows of motions, of those that are matched."""
+    samples = []
+    first_sample = 0
+    for motion, matched_motion in zip(motions, matched, strict=True):
+        samples.append(first_sample + np.flatnonzero(np.isin(motion.t, matched_motion.t)))
+        first_sample += len(motion.t)
+    return np.concatenate(samples)
