@@ -6,6 +6,7 @@ Commands act late; the servo compensates a share of gravity. With q_cmd it is a 
 """
 
 from dataclasses import dataclass, replace
+from itertools import compress, product
 
 import numpy as np
 
@@ -22,7 +23,11 @@ _MIN_COARSE_STEP = 5e-4
 _FINE_PARTS = 10  # least step of a first search [s], and its parts in a second
 _MIN_GAIN_SIGNIFICANCE = 2.0  # least size of a kept integral gain, in standard errors
 _MIN_EXPLAINED_SHARE = 0.8  # least share of the torque without gravity that the servo explains
-_FACTOR_COUNT = 3
+_MIN_GRAVITY_SHARE = 1e-3  # range of gravity over that of the torque, to determine its share
+# Columns of a joint's problem.
+_FACTOR_COUNT = 3  # those of the servo come first
+_INTEGRAL_GAINS = (1, 2)  # on the integral of the velocity error, and on that of the position
+_GRAVITY = 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,28 +86,27 @@ def identify_servo(log: Log, robot: Robot, parameters: Array) -> ServoFit:
         raise FitError("no log has commanded positions or velocities (log.columns.q_cmd, dq_cmd)")
     if robot.description.coupling is not None:
         raise FitError("servos of coupled motors are not identified")
-    dq = smooth(log).dq if log.dq is None else log.dq
+    dq = log.dq
+    if dq is None:
+        dq = smooth(log).dq
     log = replace(log, dq=dq, dq_cmd=compute_commands(log)[1])  # once, for all latencies
     zeros = np.zeros_like(log.q)
     gravity = robot.torque(parameters, log.q, zeros, zeros)
     duration = log.t[-1] - log.t[0]
     coarse_step = max(0.25 * log.period, _MIN_COARSE_STEP)
     coarse_latencies = np.arange(0.0, min(_MAX_LATENCY, 0.1 * duration), coarse_step)
-    coarse_trials = [(held, latency) for held in (True, False) for latency in coarse_latencies]
-    held, coarse_latency = min(
-        coarse_trials, key=lambda arguments: _compute_misfit(log, gravity, *arguments)
-    )
-    near_latencies = (
-        coarse_latency + coarse_step * np.arange(-_FINE_PARTS, _FINE_PARTS + 1) / _FINE_PARTS
-    )
+
+    def misfit(trial: tuple[bool, float]) -> float:
+        held, latency = trial
+        return _compute_misfit(log, gravity, held, latency)
+
+    coarse_trials = list(product((True, False), coarse_latencies))
+    held, coarse_latency = min(coarse_trials, key=misfit)
+    fine_steps = coarse_step * np.arange(-_FINE_PARTS, _FINE_PARTS + 1) / _FINE_PARTS
+    near_latencies = coarse_latency + fine_steps
     fine_trials = [(held, latency) for latency in near_latencies[near_latencies >= 0.0]]
-    held, latency = min(
-        fine_trials, key=lambda arguments: _compute_misfit(log, gravity, *arguments)
-    )
-    fits = [
-        _fit_joint_servo(*arguments)
-        for arguments in zip(*_build_problems(log, gravity, held, latency), strict=True)
-    ]
+    held, latency = min(fine_trials, key=misfit)
+    fits = list(map(_fit_joint_servo, *_build_problems(log, gravity, held, latency)))
     factors, covariances, shares, explained = map(np.array, zip(*fits, strict=True))
     for joint, factor, share in zip(robot.joints, factors, explained, strict=True):
         if factor[0] <= 0.0 or share < _MIN_EXPLAINED_SHARE:
@@ -126,7 +130,9 @@ def compute_commands(log: Log) -> tuple[Array, Array]:
         assert log.dq_cmd is not None
         displacement = np.cumsum(log.dq_cmd[:-1] * np.diff(log.t)[:, None], axis=0)
         return log.q[0] + np.vstack([np.zeros(log.q.shape[1]), displacement]), log.dq_cmd
-    return log.q_cmd, np.gradient(log.q_cmd, log.t, axis=0) if log.dq_cmd is None else log.dq_cmd
+    if log.dq_cmd is None:
+        return log.q_cmd, np.gradient(log.q_cmd, log.t, axis=0)
+    return log.q_cmd, log.dq_cmd
 
 
 def _build_problems(
@@ -140,24 +146,20 @@ def _build_problems(
     last_command = np.maximum(np.searchsorted(t, command_times + 1e-9, side="right") - 1, 0)
     assert log.dq is not None
 
-    def delay_signal(values: Array, j: int) -> Array:
-        signal = values[:, j]
-        return np.asarray(signal[last_command] if held else np.interp(command_times, t, signal))
+    def delay_signal(signal: Array, *, is_held: bool) -> Array:
+        if is_held:
+            return np.asarray(signal[last_command])
+        return np.asarray(np.interp(command_times, t, signal))
 
     columns = []
     targets = []
     for j in range(log.q.shape[1]):
         # A held velocity moves its integral along a line, a held position does not.
-        joint_position = position[:, j]
-        is_linear = log.q_cmd is None or not held
-        error = (
-            np.interp(command_times, t, joint_position)
-            if is_linear
-            else joint_position[last_command]
-        ) - log.q[:, j]
+        is_held = held and log.q_cmd is not None
+        error = delay_signal(position[:, j], is_held=is_held) - log.q[:, j]
         steps = 0.5 * (error[1:] + error[:-1]) * np.diff(t)
         integral = np.append(0.0, np.cumsum(steps)) * (log.q_cmd is not None)
-        rate = delay_signal(speed, j) - log.dq[:, j]
+        rate = delay_signal(speed[:, j], is_held=held) - log.dq[:, j]
         terms = [rate, error, integral, np.ones_like(t), gravity[:, j]]
         columns.append(np.column_stack(terms)[is_after_start])
         targets.append(log.tau[is_after_start, j])
@@ -177,36 +179,34 @@ def _compute_residual(columns: Array, torque: Array) -> Array:
 
 def _fit_joint_servo(columns: Array, torque: Array) -> tuple[Array, Array, float, float]:
     """Return factors (3,), their covariance (3, 3), share of gravity, and explained variance."""
-    gravity = columns[:, -1]
-    active = [0, 1, 2, 3, 4] if np.ptp(gravity) > 1e-3 * np.ptp(torque) else [0, 1, 2, 3]
+    gravity = columns[:, _GRAVITY]
+    active = [0, *_INTEGRAL_GAINS, 3]
+    # A share of constant gravity would be that of the offset.
+    if np.ptp(gravity) > _MIN_GRAVITY_SHARE * np.ptp(torque):
+        active.append(_GRAVITY)
     while True:
         active = [k for k in active if np.any(columns[:, k])]
         active_columns = columns[:, active]
         solution = np.linalg.lstsq(active_columns, torque, rcond=None)[0]
         residual = torque - active_columns @ solution
         labels = np.zeros(len(torque), dtype=int)
-        matrix = covariance_of_fit(
-            [str(k) for k in active], active_columns, residual, labels
-        ).matrix
+        names = [str(k) for k in active]
+        matrix = covariance_of_fit(names, active_columns, residual, labels).matrix
         is_insignificant = solution < _MIN_GAIN_SIGNIFICANCE * np.sqrt(np.diag(matrix))
-        dropped_columns = [
-            k
-            for k, insignificant in zip(active, is_insignificant, strict=True)
-            if insignificant and k in (1, 2)
-        ]
-        if not dropped_columns:
+        insignificant = list(compress(active, is_insignificant))
+        dropped_gains = [k for k in insignificant if k in _INTEGRAL_GAINS]
+        if not dropped_gains:
             break
-        active.remove(dropped_columns[-1])
+        # One at a time: without the last one, the other may become significant.
+        active.remove(dropped_gains[-1])
     coefficients = np.zeros(len(columns.T))
-    covariance = np.zeros((_FACTOR_COUNT, _FACTOR_COUNT))
     coefficients[active] = solution
     gains = [k for k in active if k < _FACTOR_COUNT]
+    covariance = np.zeros((_FACTOR_COUNT, _FACTOR_COUNT))
     covariance[np.ix_(gains, gains)] = matrix[: len(gains), : len(gains)]
-    gravity_share = coefficients[4] if 4 in active else 1.0
+    gravity_share = 1.0
+    if _GRAVITY in active:
+        gravity_share = float(coefficients[_GRAVITY])
     variance = np.var(torque - gravity_share * gravity)
-    return (
-        coefficients[:_FACTOR_COUNT],
-        covariance,
-        float(gravity_share),
-        float(1.0 - residual.var() / variance),
-    )
+    explained = float(1.0 - residual.var() / variance)
+    return coefficients[:_FACTOR_COUNT], covariance, gravity_share, explained
