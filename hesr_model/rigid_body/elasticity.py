@@ -71,28 +71,26 @@ def gear_forms(
     """Return the forms of elastic gears, low-passed as the motions; none without link encoders."""
     if not motions or any(motion.q_link is None for motion in motions):
         return []
-    names = ("q", "dq", "ddq", "tau", "q_link", "dq_link")
-    signals = {
-        name: np.concatenate([getattr(motion, name) for motion in motions]) for name in names
-    }
+    signals = {}
+    for name in ("q", "dq", "ddq", "tau", "q_link", "dq_link"):
+        signals[name] = np.concatenate([getattr(motion, name) for motion in motions])
     ends = np.cumsum([0, *(len(motion.t) for motion in motions)]).tolist()
-    parts = [slice(*pair) for pair in pairwise(ends)]
+    parts = [slice(first, end) for first, end in pairwise(ends)]
 
     def smooth(values: Array) -> Array:
         cutoff = robot.description.log.filter_cutoff
-        pairs = zip(motions, parts, strict=True)
-        return np.concatenate(
-            [zero_phase(motion.t, values[rows], cutoff)(motion.t) for motion, rows in pairs]
-        )
+        smooth_parts = []
+        for motion, rows in zip(motions, parts, strict=True):
+            smooth_parts.append(zero_phase(motion.t, values[rows], cutoff)(motion.t))
+        return np.concatenate(smooth_parts)
 
-    signals |= {"smooth": smooth(signals["tau"]), "link": smooth(np.sign(signals["dq_link"]))}
-    signals_by_joint = [
-        {name: values[:, j] for name, values in signals.items()} for j in range(robot.n)
-    ]
-    return [
-        _fit_form(joint_signals, parts, rows, smooth)
-        for joint_signals, rows in zip(signals_by_joint, fast_rows, strict=True)
-    ]
+    signals["smooth"] = smooth(signals["tau"])
+    signals["link"] = smooth(np.sign(signals["dq_link"]))
+    forms = []
+    for j, is_fast in enumerate(fast_rows):
+        joint_signals = {name: values[:, j] for name, values in signals.items()}
+        forms.append(_fit_form(joint_signals, parts, is_fast, smooth))
+    return forms
 
 
 def _fit_form(
@@ -113,12 +111,7 @@ def _fit_form(
     for _ in range(_ROUNDS):
         deflection = twist - zero
         sign = np.sign(signals["dq"])
-        shapes = [
-            _run_stop(deflection / width, part_slices)
-            if width > 0
-            else np.clip(-deflection / width, -1, 1)
-            for width in widths
-        ]
+        shapes = [_evaluate_element(deflection, width, part_slices) for width in widths]
         smoothed = smooth(np.column_stack([sign, np.abs(torque) * sign, *shapes]))
         ones = np.ones_like(deflection)
         dq = signals["dq"]
@@ -145,13 +138,24 @@ def _fit_form(
     )
 
 
+def _evaluate_element(deflection: Array, width: float, part_slices: Sequence[slice]) -> Array:
+    """Return the shape (N,) of an element: a stop, or a clipped line for a negative width."""
+    if width > 0:
+        return _run_stop(deflection / width, part_slices)
+    return np.clip(-deflection / width, -1, 1)
+
+
 def _run_stop(relative_deflection: Array, part_slices: Sequence[slice]) -> Array:
-    steps = [
-        np.diff(relative_deflection[rows], prepend=relative_deflection[rows][0]).tolist()
-        for rows in part_slices
-    ]
-    states_by_part = [accumulate(part, lambda s, dx: min(max(s + dx, -1.0), 1.0)) for part in steps]
-    return np.array([state for part in states_by_part for state in part])
+    """Return the states (N,) of a stop with a width of 1, which begin at 0 in each part."""
+
+    def move(state: float, step: float) -> float:
+        return min(max(state + step, -1.0), 1.0)
+
+    states: list[float] = []
+    for rows in part_slices:
+        part = relative_deflection[rows]
+        states += accumulate(np.diff(part, prepend=part[0]).tolist(), move)
+    return np.array(states)
 
 
 def add_gears(
@@ -170,7 +174,9 @@ def add_gears(
         samples = block.samples
         first_column = first_columns[j]
         rotor_column = 10 * robot.links + j
-        tau, smooth_tau, ddq = (form.signals[name][samples] for name in ("tau", "smooth", "ddq"))
+        tau = form.signals["tau"][samples]
+        smooth_tau = form.signals["smooth"][samples]
+        ddq = form.signals["ddq"][samples]
         body_matrix, motor_matrix = np.zeros((2, len(samples), first_columns[-1]))
         body_matrix[:, :body_count] = block.matrix
         body_matrix[:, link_columns[j, 0]] = form.signals["link"][samples]
@@ -198,13 +204,9 @@ def build_gears(
     first_column = len(x) - sum(form.columns.shape[1] for form in forms)
     gears = []
     for joint, form, joint_columns in zip(joints, forms, link_columns.tolist(), strict=True):
-        columns_by_name = dict(
-            zip(
-                (*_GEAR_PARAMETERS, *_LINK_PARAMETERS),
-                [*range(first_column, first_column + FIXED), *joint_columns],
-                strict=True,
-            )
-        )
+        names = (*_GEAR_PARAMETERS, *_LINK_PARAMETERS)
+        columns = (*range(first_column, first_column + FIXED), *joint_columns)
+        columns_by_name = dict(zip(names, columns, strict=True))
         del columns_by_name["offset"]
         parameters = {
             name: (float(x[k]), float(std_errors[k])) for name, k in columns_by_name.items()
