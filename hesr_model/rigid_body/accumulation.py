@@ -36,9 +36,9 @@ class StreamedProblem:
         self._robot = robot
         self._base = unknown_columns(robot)
         self._friction = observations.friction_columns(robot, self._base)
-        self._used_min_speeds = (
-            np.full(robot.n, observations.SLOW) if min_speeds is None else min_speeds
-        )
+        if min_speeds is None:
+            min_speeds = np.full(robot.n, observations.SLOW)
+        self._used_min_speeds = min_speeds
         self._peaks = np.zeros(robot.n)
         column_count = len(self._base) + int(np.sum(self._friction))
         self._factors = [Factor(triangle=np.zeros((0, column_count + 1)))] * robot.n
@@ -62,9 +62,8 @@ class StreamedProblem:
         self.rows += len(motion.t)
         with threadpool_limits(1):
             for first in range(0, len(motion.t), identification.ROWS_AT_ONCE):
-                blocks = self._build_blocks(
-                    [motion.rows(slice(first, first + identification.ROWS_AT_ONCE))]
-                )
+                chunk = motion.rows(slice(first, first + identification.ROWS_AT_ONCE))
+                blocks = self._build_blocks([chunk])
                 rows = zip(self._factors, blocks, strict=True)
                 self._factors = [factor.add_rows(block) for factor, block in rows]
 
@@ -165,7 +164,9 @@ def identify_long(logs: Sequence[LongLog], robot: Robot) -> identification.Rigid
     """Identify as `identification.identify` by the stacked method, with bounded memory."""
     log_names = dict.fromkeys(log.checked_pieces[0].where for log in logs)
     travel: Array = np.array([log.travel for log in logs]).max(axis=0)
-    pieces = [piece.q for log in logs for piece in log.checked_pieces]
+    pieces = []
+    for log in logs:
+        pieces += [piece.q for piece in log.checked_pieces]
     is_travelling = find_travelling(pieces, travel)
     require_travel(", ".join(log_names), travel, robot.description.joints, is_travelling)
 

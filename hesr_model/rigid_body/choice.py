@@ -98,7 +98,9 @@ def choose_body(
     trials = {kind: _try_kind(kind, folds, samples, robot) for kind in kinds}
     reasons = {kind: trial.reason for kind, trial in trials.items() if trial.reason}
     seconds = sum(float(motion.t[-1] - motion.t[0]) for motion in all_motions)
-    judged = _find_judged(trials) if seconds >= _MIN_SECONDS else _Judged()
+    judged = _Judged()
+    if seconds >= _MIN_SECONDS:
+        judged = _find_judged(trials)
     if judged.kinds:
         torque = _compute_torque_size(samples)
         table = _ErrorTable.from_trials(trials, judged, samples, torque)
@@ -191,13 +193,11 @@ def identify_without(
     reversed_logs : names of their time-reversed counterparts.
     """
     pieces = [thin(piece) for piece in fold.training]
+    motions = [piece for piece in pieces if not logs or piece.name in logs]
+    reversed_motions = [piece for piece in pieces if piece.name in reversed_logs]
     try:
         return identify_kind(
-            [piece for piece in pieces if not logs or piece.name in logs],
-            robot,
-            body.kind,
-            reversed_motions=[piece for piece in pieces if piece.name in reversed_logs],
-            warns=False,
+            motions, robot, body.kind, reversed_motions=reversed_motions, warns=False
         )
     except FitError:
         return body
@@ -243,7 +243,9 @@ def _identify_first_possible(
     They are what the user already has, and nothing shows that others are better.
     """
     errors = []
-    for kind in (kind for kind in KINDS if kind in kinds):
+    for kind in KINDS:
+        if kind not in kinds:
+            continue
         try:
             body = identify_kind(motions, robot, kind, reversed_motions=reversed_motions)
         except FitError as error:
@@ -278,8 +280,11 @@ def _build_samples(
         pairs = zip(motions, fold.judged, strict=True)
         # The median step of a single row is unknown.
         parts = [thin(motion.rows(rows)) for motion, rows in pairs if np.sum(rows) > 1]
-        dq = observations.friction_speeds(parts, robot) if parts else np.zeros((0, robot.n))
-        tau = np.concatenate([np.zeros((0, robot.n)), *(motion.tau for motion in parts)])
+        dq = np.zeros((0, robot.n))
+        tau = np.zeros((0, robot.n))
+        if parts:
+            dq = observations.friction_speeds(parts, robot)
+            tau = np.concatenate([motion.tau for motion in parts])
         samples.append(
             _Samples(
                 motions=parts,
@@ -294,7 +299,9 @@ def _build_samples(
 def _to_friction_torque(torque: Array, robot: Robot) -> Array:
     """Return the torque (N, n) at friction coordinates."""
     coupling = robot.description.coupling
-    return torque if coupling is None else coupling.torque(torque)
+    if coupling is None:
+        return torque
+    return coupling.torque(torque)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -315,17 +322,19 @@ def _try_kind(
     reason = "no fold leaves rows to identify it from"
     for number, (fold, fold_samples) in enumerate(zip(folds, samples, strict=True)):
         training = [thin(piece) for piece in fold.training]
-        try:
-            body = identify_kind(training, robot, kind, warns=False) if training else None
-        except FitError as error:
-            body = None
-            reason = str(error)
+        body = None
+        if training:
+            try:
+                body = identify_kind(training, robot, kind, warns=False)
+            except FitError as error:
+                reason = str(error)
         bodies.append(body)
         if body is not None:
             friction = fit_friction(body, training, robot)
             squares[number] = _sum_squares(body, friction, fold_samples, robot)
-    is_possible = any(body is not None for body in bodies)
-    return _Trial(bodies=bodies, squares=squares, reason="" if is_possible else reason)
+    if any(body is not None for body in bodies):
+        reason = ""
+    return _Trial(bodies=bodies, squares=squares, reason=reason)
 
 
 def fit_friction(body: RigidBody, motions: Sequence[Motion], robot: Robot) -> Array:
@@ -371,11 +380,10 @@ class _Judged:
 
 def _find_judged(trials: Mapping[Kind, _Trial]) -> _Judged:
     """Return the kinds with enough folds, and their common folds; nothing if too few."""
-    has_body = {
-        kind: np.array([body is not None for body in trial.bodies])
-        for kind, trial in trials.items()
-    }
-    judged_kinds = [kind for kind, known in has_body.items() if np.sum(known) >= MIN_FOLDS]
+    has_body = {}
+    for kind, trial in trials.items():
+        has_body[kind] = np.array([body is not None for body in trial.bodies])
+    judged_kinds = [kind for kind in trials if np.sum(has_body[kind]) >= MIN_FOLDS]
     if not judged_kinds:
         return _Judged()
     is_common = np.all([has_body[kind] for kind in judged_kinds], axis=0)
@@ -447,9 +455,9 @@ class _ErrorTable:
 
     def is_determined(self, kind: Kind) -> bool:
         """Return whether the standard error at other positions is below the error on all joints."""
-        return kind not in self.other_errors or bool(
-            np.all(self.other_errors[kind] <= self.rmse[kind])
-        )
+        if kind not in self.other_errors:
+            return True
+        return bool(np.all(self.other_errors[kind] <= self.rmse[kind]))
 
     def is_safe(self, kind: Kind) -> bool:
         """Return whether a kind is not worse than the model file, here and at other positions.
@@ -481,15 +489,13 @@ def _add_extrapolation(
     if any(motion.q_link is not None for motion in motions):
         return table
     states = extrapolation.States.from_motions(motions, robot)
-    bodies = {
-        kind: [body for k in judged.folds if (body := trials[kind].bodies[k]) is not None]
-        for kind in judged.kinds
-    }
-    errors: dict[Kind, Array] = {
-        kind: extrapolation.compute_standard_errors(bodies[kind], robot, states)
-        for kind in judged.kinds
-        if kind != "nominal"
-    }
+    bodies: dict[Kind, list[RigidBody]] = {}
+    errors: dict[Kind, Array] = {}
+    for kind in judged.kinds:
+        fold_bodies = [trials[kind].bodies[k] for k in judged.folds]
+        bodies[kind] = [body for body in fold_bodies if body is not None]
+        if kind != "nominal":
+            errors[kind] = extrapolation.compute_standard_errors(bodies[kind], robot, states)
     ratios: dict[Kind, float] = {}
     if "nominal" in judged.kinds:
         for kind in errors:
@@ -517,22 +523,20 @@ def _choose_kind(table: _ErrorTable, *, is_physical_possible: bool) -> Kind:
     if best_kind != "free":
         return best_kind
     # Plain least squares has the most parameters, and must be better than by chance.
-    simpler_kinds: list[Kind] = ["physical"] if is_physical_possible else ["nominal"]
-    for kind in simpler_kinds:
-        if kind not in safe_kinds:
-            continue
-        if not (table.is_determined("free") and table.beats("free", kind)):
-            return kind
-    return best_kind
+    simpler_kind: Kind = "physical" if is_physical_possible else "nominal"
+    if simpler_kind not in safe_kinds:
+        return best_kind
+    if table.is_determined("free") and table.beats("free", simpler_kind):
+        return best_kind
+    return simpler_kind
 
 
 def _describe_choice(kind: Kind, table: _ErrorTable, seconds: float) -> str:
     """Return the sentence of a choice by left-out rows."""
-    ratios = {
-        other: float(np.exp(score - table.scores[kind]))
-        for other, score in table.scores.items()
-        if other != kind
-    }
+    ratios: dict[Kind, float] = {}
+    for other, score in table.scores.items():
+        if other != kind:
+            ratios[other] = float(np.exp(score - table.scores[kind]))
     if not ratios:
         return describe_kind(kind)
     better_kinds = [other for other, ratio in ratios.items() if ratio < 1.0]

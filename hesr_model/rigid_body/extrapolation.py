@@ -39,10 +39,9 @@ class States:
     @classmethod
     def from_motions(cls, motions: Sequence[Motion], robot: Robot) -> "States":
         """Return rows spread evenly over all motions, and random positions within the reach."""
-        q, dq, ddq = (
-            np.concatenate([getattr(motion, name) for motion in motions])
-            for name in ("q", "dq", "ddq")
-        )
+        q = np.concatenate([motion.q for motion in motions])
+        dq = np.concatenate([motion.dq for motion in motions])
+        ddq = np.concatenate([motion.ddq for motion in motions])
         rows = np.unique(np.linspace(0, len(q) - 1, _STATE_COUNT).astype(int))
         lower, upper, _ = robot.reach
         random_q = np.random.default_rng(0).uniform(lower, upper, (len(rows), robot.n))
@@ -89,11 +88,14 @@ def estimate_ratios(
     given_bodies : with the masses of the model file, without the same folds.
     rmse, given_rmse : of both on left-out rows, (n,) [N.m] at friction coordinates.
     """
-    corrections = [
-        _compute_correction(body, given_body, robot, states)
-        for body, given_body in zip(bodies, given_bodies, strict=True)
-    ]
-    visited, elsewhere = (np.mean(squares, axis=0) for squares in zip(*corrections, strict=True))
+    visited_squares = []
+    other_squares = []
+    for body, given_body in zip(bodies, given_bodies, strict=True):
+        at_visited, at_others = _compute_correction(body, given_body, robot, states)
+        visited_squares.append(at_visited)
+        other_squares.append(at_others)
+    visited = np.mean(visited_squares, axis=0)
+    elsewhere = np.mean(other_squares, axis=0)
     gain = given_rmse**2 - rmse**2
     paid_share = np.clip(gain / np.maximum(visited, np.finfo(float).tiny), 0.0, 1.0)
     unpaid = (1.0 - paid_share) * elsewhere
@@ -114,7 +116,9 @@ def _compute_correction(
         torque = robot.torque(body.parameters_for(robot), q, states.dq, states.ddq)
         given_torque = robot.torque(given_body.parameters_for(robot), q, states.dq, states.ddq)
         difference = torque - given_torque
-        differences.append(difference if coupling is None else coupling.torque(difference))
+        if coupling is not None:
+            difference = coupling.torque(difference)
+        differences.append(difference)
     visited, elsewhere = differences
     dq = transform_motion(coupling, states.dq)
     for j in range(robot.n):

@@ -42,12 +42,16 @@ class FrictionRecord:
     @property
     def of_bodies(self) -> Array:
         """The torque that the rigid bodies need, (N,) [N.m]."""
-        return self.tau_load if self.tau_body is None else self.tau_body
+        if self.tau_body is None:
+            return self.tau_load
+        return self.tau_body
 
     @property
     def causal(self) -> "FrictionRecord":
         """The record with the velocity that a user of an FMU has, if known."""
-        return self if self.dq_causal is None else replace(self, dq=self.dq_causal)
+        if self.dq_causal is None:
+            return self
+        return replace(self, dq=self.dq_causal)
 
     @property
     def motion(self) -> dict[str, Any]:

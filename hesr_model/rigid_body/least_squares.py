@@ -77,9 +77,12 @@ def solve_factors(
 ) -> Solution:
     """Solve as `solve` does, from factors."""
     weights = np.ones(len(factors))
-    is_loose = np.zeros(len(scale), dtype=bool) if is_loose is None else is_loose
+    if is_loose is None:
+        is_loose = np.zeros(len(scale), dtype=bool)
     solution = _solve(factors, weights, scale, is_loose)
-    for _ in range(_REWEIGHTINGS if weighted else 0):
+    if not weighted:
+        return solution
+    for _ in range(_REWEIGHTINGS):
         # An exact fit must not get an infinite weight.
         floor = 1e-6 * float(np.max(solution.rmse)) or 1.0
         weights = 1.0 / np.maximum(solution.rmse, floor)
@@ -92,18 +95,13 @@ def estimate_covariance(
 ) -> Covariance:
     """Return the covariance from residuals summed by sample; `labels` are log numbers."""
     labels = covariance.blocks_of_time(labels)
-    hessian = sum(
-        (
-            weight**2 * block.matrix.T @ block.matrix
-            for block, weight in zip(blocks, solution.weights, strict=True)
-        ),
-        start=np.diag(solution.pull**2),
-    )
+    prior_hessian = np.diag(solution.pull**2)
+    hessian = prior_hessian
+    for block, weight in zip(blocks, solution.weights, strict=True):
+        hessian = hessian + weight**2 * block.matrix.T @ block.matrix
     parts = compute_gradients(blocks, solution, labels, hessian)
     names = ("",) * len(hessian)
-    return covariance_of_parts(
-        names, lambda: parts, hessian, prior_hessian=np.diag(solution.pull**2)
-    )
+    return covariance_of_parts(names, lambda: parts, hessian, prior_hessian=prior_hessian)
 
 
 def compute_gradients(
@@ -127,9 +125,8 @@ def compute_gradients(
 
 def _solve(factors: Sequence[Factor], weights: Array, scale: Array, is_loose: Mask) -> Solution:
     triangles = [factor.triangle for factor in factors]
-    rows = np.concatenate(
-        [weight * factor for weight, factor in zip(weights, triangles, strict=True)]
-    )
+    weighted_triangles = zip(weights, triangles, strict=True)
+    rows = np.concatenate([weight * triangle for weight, triangle in weighted_triangles])
     matrix = rows[:, :-1] / scale
     target = rows[:, -1]
     u, s, vt = np.linalg.svd(matrix, full_matrices=False)
@@ -137,14 +134,13 @@ def _solve(factors: Sequence[Factor], weights: Array, scale: Array, is_loose: Ma
     judged_values = s
     if is_loose.any() and s[0] > _HUGE_CONDITION * s[-1]:
         loose_pull[is_loose] = _LOOSE_RIDGE * s[0]
-        judged_values = np.linalg.svd(
-            np.vstack([matrix, np.diag(loose_pull / _LOOSE_RIDGE * _RIDGE)])
-        )[1]
+        # Whether all columns need a ridge is judged with loose ones pulled as much.
+        full_pull = np.diag(loose_pull / _LOOSE_RIDGE * _RIDGE)
+        judged_values = np.linalg.svd(np.vstack([matrix, full_pull]))[1]
         u, s, vt = np.linalg.svd(np.vstack([matrix, np.diag(loose_pull)]), full_matrices=False)
         target = np.concatenate([target, np.zeros(len(loose_pull))])
-    condition = float(
-        judged_values[0] / max(judged_values[-1], np.finfo(float).eps * judged_values[0])
-    )
+    smallest_value = max(judged_values[-1], np.finfo(float).eps * judged_values[0])
+    condition = float(judged_values[0] / smallest_value)
     ridge = _RIDGE if condition > _HUGE_CONDITION else 0.0
     pull = ridge * s[0]
     x = vt.T @ (s / (s**2 + pull**2) * (u.T @ target)) / scale

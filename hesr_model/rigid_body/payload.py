@@ -78,9 +78,10 @@ def identify_payload_motions(
     where = "log " + ", ".join(motion.name for motion in motions)
     segments = _number_segments(motions)
     if len(np.unique(segments)) < _MIN_SEGMENTS:
+        seconds = sum(motion.t[-1] - motion.t[0] for motion in motions)
         raise FitError(
-            f"{where}: lasts {sum(motion.t[-1] - motion.t[0] for motion in motions):.3g} s; a "
-            f"payload needs at least {_MIN_SEGMENTS * _SEGMENT_DURATION:g} s."
+            f"{where}: lasts {seconds:.3g} s; a payload needs at least "
+            f"{_MIN_SEGMENTS * _SEGMENT_DURATION:g} s."
         )
     payload_motions = [
         replace(motion, tau=motion.tau - unloaded_body.torque(robot, motion)) for motion in motions
@@ -96,16 +97,12 @@ def identify_payload_motions(
             f"{where}: the motion does not determine the payload (condition number "
             f"{solution.condition:.2g}); all joints must move fast and far at once."
         )
-    carried_columns = [
-        block.matrix[:, : len(unloaded_body.base)]
-        for block in observations.stack_blocks(motions, robot, unloaded_body.base, friction)
-    ]
-    covariance = _estimate_covariance(
-        blocks, solution, [segments[block.samples] for block in blocks]
-    )
-    covariance += _propagate_errors(
-        blocks, solution, carried_columns, unloaded_body.standard_errors
-    )
+    block_segments = [segments[block.samples] for block in blocks]
+    covariance = _estimate_covariance(blocks, solution, block_segments)
+    body_blocks = observations.stack_blocks(motions, robot, unloaded_body.base, friction)
+    body_columns = [block.matrix[:, : len(unloaded_body.base)] for block in body_blocks]
+    body_errors = unloaded_body.standard_errors
+    covariance += _propagate_errors(blocks, solution, body_columns, body_errors)
     payload = Payload(
         parameters=solution.x[:10],
         covariance=covariance[:10, :10],
@@ -132,13 +129,13 @@ def add_payload(unloaded_body: RigidBody, payload: Payload, robot: Robot) -> Rig
     payload_map = dependence(robot, unloaded_body.base)[:, columns]
     payload_covariance = payload_map @ payload.covariance @ payload_map.T
     covariance = unloaded_body.covariance
+    if covariance is not None:
+        covariance = replace(covariance, carried=covariance.carried + payload_covariance)
     return replace(
         unloaded_body,
         parameters=parameters,
         standard_errors=np.sqrt(unloaded_body.standard_errors**2 + np.diag(payload_covariance)),
-        covariance=None
-        if covariance is None
-        else replace(covariance, carried=covariance.carried + payload_covariance),
+        covariance=covariance,
         kind="free" if unloaded_body.physical else unloaded_body.kind,
         friction=payload.friction,
         rmse=payload.rmse,
@@ -164,27 +161,22 @@ def _estimate_covariance(
     blocks: Sequence[Block], solution: Solution, segments: Sequence[Integers]
 ) -> Array:
     """Return the covariance with residuals correlated in segments (Liang and Zeger 1986)."""
-    gradients = np.zeros(
-        (1 + max(int(np.max(block_segments)) for block_segments in segments), len(solution.x))
-    )
+    segment_count = 1 + max(int(np.max(block_segments)) for block_segments in segments)
+    gradients = np.zeros((segment_count, len(solution.x)))
     for block, block_rmse, block_segments in zip(blocks, solution.rmse, segments, strict=True):
         residual = (block.target - block.matrix @ solution.x) / block_rmse**2
         np.add.at(gradients, block_segments, block.matrix * residual[:, None])
     inverse = _inverse_hessian(blocks, solution)
-    segment_count = len(gradients)
-    return np.asarray(
-        inverse @ (gradients.T @ gradients) @ inverse * (segment_count / (segment_count - 1))
-    )
+    finite_sample_factor = segment_count / (segment_count - 1)
+    return np.asarray(inverse @ (gradients.T @ gradients) @ inverse * finite_sample_factor)
 
 
 def _propagate_errors(
     blocks: Sequence[Block], solution: Solution, carried_columns: Sequence[Array], std_errors: Array
 ) -> Array:
-    deviations = (
-        _inverse_hessian(blocks, solution)
-        @ _products(blocks, solution, carried_columns)
-        * std_errors
-    )
+    """Return the covariance due to errors of the unloaded body, whose columns are carried."""
+    slopes = _inverse_hessian(blocks, solution) @ _products(blocks, solution, carried_columns)
+    deviations = slopes * std_errors
     return np.asarray(deviations @ deviations.T)
 
 

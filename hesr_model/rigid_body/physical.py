@@ -102,25 +102,23 @@ def fit(
         ).x
         inertial = chart.parameters(x)
         free_count = triangle.shape[1] - inertial_count - 1
+        remaining_torque = triangle[:free_count, -1] - (
+            triangle[:free_count, free_count:-1] @ inertial
+        )
         free_coefficients = scipy.linalg.solve_triangular(
-            triangle[:free_count, :free_count],
-            triangle[:free_count, -1] - triangle[:free_count, free_count:-1] @ inertial,
+            triangle[:free_count, :free_count], remaining_torque
         )
         all_coefficients = np.concatenate([inertial, free_coefficients])
-        rmse = np.array(
-            [np.sqrt(np.mean((b.target - b.matrix @ all_coefficients) ** 2)) for b in blocks]
-        )
+        residuals = [block.target - block.matrix @ all_coefficients for block in blocks]
+        rmse = np.array([np.sqrt(np.mean(residual**2)) for residual in residuals])
     slopes = np.eye(len(all_coefficients), len(x) + free_count)
     slopes[:inertial_count, : len(x)] = chart.slopes(x)
     slopes[inertial_count:, len(x) :] = np.eye(free_count)
-    linearised_blocks = [
-        Block(
-            matrix=block.matrix @ slopes,
-            target=block.target - block.matrix @ all_coefficients,
-            samples=block.samples,
+    linearised_blocks = []
+    for block, residual in zip(blocks, residuals, strict=True):
+        linearised_blocks.append(
+            Block(matrix=block.matrix @ slopes, target=residual, samples=block.samples)
         )
-        for block in blocks
-    ]
     local_solution = Solution(
         x=np.zeros(len(x) + free_count),
         condition=1.0,
@@ -143,10 +141,10 @@ def fit(
 def is_possible(robot: Robot, parameters: Array) -> bool:
     """Return whether bodies can have these parameters (P,), without mass included."""
     links = parameters[: 10 * robot.links].reshape(-1, 10)
-    lowest_ratios = [
-        np.linalg.eigvalsh(pseudo)[0] / max(np.trace(pseudo), _TINY)
-        for pseudo in map(pseudo_inertia, links)
-    ]
+    lowest_ratios = []
+    for link in links:
+        pseudo = pseudo_inertia(link)
+        lowest_ratios.append(np.linalg.eigvalsh(pseudo)[0] / max(np.trace(pseudo), _TINY))
     rotors = parameters[10 * robot.links : robot.inertial]
     return min(lowest_ratios) > -_ROUNDING and bool(np.all(rotors >= 0.0))
 
@@ -162,10 +160,9 @@ def find_nearest(robot: Robot, parameters: Array) -> tuple[Array, Array, Array]:
     torque = (rows @ parameters).reshape(-1, robot.n)
     weights = np.tile(1.0 / np.maximum(np.std(torque, axis=0), _TINY), len(torque))[:, None]
     inertial_rows = rows[:, :inertial_count]
-    (triangle,) = scipy.linalg.qr(
-        weights * np.column_stack([inertial_rows, inertial_rows @ parameters[:inertial_count]]),
-        mode="r",
-    )
+    inertial_torque = inertial_rows @ parameters[:inertial_count]
+    weighted_rows = weights * np.column_stack([inertial_rows, inertial_torque])
+    (triangle,) = scipy.linalg.qr(weighted_rows, mode="r")
     chart = _Chart.from_robot(robot)
     scaled_rows = triangle[: inertial_count + 1] / np.sqrt(len(rows))
     problem = _Problem(chart=chart, rows=scaled_rows, pull=_WEAK_SHARE * chart.pull)
@@ -215,8 +212,8 @@ class _Chart:
         changes = np.zeros((len(self.factors), 10, 4, 4))
         changes[:, range(10), *_TRIANGLE_PLACES] = 1.0
         changes[:, range(4), range(4), range(4)] = u[:, range(4), range(4)]
-        b, u = self.factors[:, None], u[:, None]
-        half = b @ changes @ u.mT @ b.mT
+        b = self.factors[:, None]
+        half = b @ changes @ u[:, None].mT @ b.mT
         blocks = link_parameters(half + half.mT).transpose(0, 2, 1)
         return np.asarray(scipy.linalg.block_diag(*blocks, np.diag(2 * x[links:])))
 
@@ -246,7 +243,10 @@ def _upper_factor(matrix: Array) -> Array:
 
 
 def _start_inertia(link: Array) -> Array:
-    pseudo = pseudo_inertia(link if link[0] > 0 else _UNKNOWN_LINK)
+    """Return the pseudo-inertia (4, 4) of a link of the model file, made positive definite."""
+    if not link[0] > 0:
+        link = _UNKNOWN_LINK
+    pseudo = pseudo_inertia(link)
     m = pseudo[3, 3]
     centre = pseudo[:3, 3] / pseudo[3, 3]
     about_centre = pseudo[:3, :3] - m * np.outer(centre, centre)
@@ -267,13 +267,12 @@ def _compute_weights(blocks: Sequence[Block], rmse: Array, weighted: bool) -> Ar
 def _eliminate_parameters(
     blocks: Sequence[Block], weights: Array, inertial_count: int
 ) -> tuple[Array, Array]:
-    weighted_rows = [
-        weight
-        * np.column_stack(
-            [block.matrix[:, inertial_count:], block.matrix[:, :inertial_count], block.target]
-        )
-        for weight, block in zip(weights, blocks, strict=True)
-    ]
+    """Return the triangle of all rows, other unknowns first, and its rows of inertial ones."""
+    weighted_rows = []
+    for weight, block in zip(weights, blocks, strict=True):
+        others = block.matrix[:, inertial_count:]
+        inertial = block.matrix[:, :inertial_count]
+        weighted_rows.append(weight * np.column_stack([others, inertial, block.target]))
     (triangle,) = scipy.linalg.qr(np.concatenate(weighted_rows), mode="r", check_finite=False)
     triangle = np.asarray(triangle[: triangle.shape[1]])
     free_count = triangle.shape[1] - inertial_count - 1

@@ -19,10 +19,9 @@ from hesr_model.units import unit_of_joint
 
 def transform_records(log_records: Sequence[FrictionRecord]) -> list[FrictionRecord]:
     """Transform the records of one log to friction coordinates, as laws need."""
-    coupling = log_records[0].coupling if log_records else None
-    if coupling is None:
+    if not log_records or log_records[0].coupling is None:
         return list(log_records)
-
+    coupling = log_records[0].coupling
     transforms = dict.fromkeys(("dq", "dq_causal", "q"), coupling.motion)
     transforms |= dict.fromkeys(("tau_load", "tau", "tau_load_spread"), coupling.torque)
     transformed_columns: dict[str, Array | None] = {}
@@ -30,16 +29,18 @@ def transform_records(log_records: Sequence[FrictionRecord]) -> list[FrictionRec
         columns = [getattr(record, name) for record in log_records]
         is_known = all(column is not None for column in columns)
         transformed_columns[name] = transform(np.stack(columns, axis=1)) if is_known else None
+    transformed_records = []
+    for j, record in enumerate(log_records):
+        changes = {name: _select_joint(values, j) for name, values in transformed_columns.items()}
+        transformed_records.append(replace(record, **changes, coupling=None))
+    return transformed_records
 
-    def select_joint(j: int) -> dict[str, Any]:
-        return {
-            n: None if values is None else np.ascontiguousarray(values[:, j])
-            for n, values in transformed_columns.items()
-        }
 
-    return [
-        replace(record, **select_joint(k), coupling=None) for k, record in enumerate(log_records)
-    ]
+def _select_joint(values: Array | None, j: int) -> Any:
+    """Return the values of a joint (N, ..) from those of all, (N, n, ..); None if unknown."""
+    if values is None:
+        return None
+    return np.ascontiguousarray(values[:, j])
 
 
 def transform_all_records(
@@ -65,32 +66,33 @@ def motion_records(motion: Motion, robot: Robot, body: RigidBody) -> list[Fricti
             key="tau",
         )
     tau_body = body.torque(robot, motion)
-    tau_load = tau_body if motion.load is None else motion.load
-    tau_spread = None if motion.load is not None else body.torque_spread(robot, motion)
+    has_own_load = motion.load is not None  # of a cylinder
+    tau_load = motion.load
+    tau_spread = None
+    if tau_load is None:
+        tau_load = tau_body
+        tau_spread = body.torque_spread(robot, motion)
     ratios = robot.description.gear_ratio or (None,) * robot.n
-    columns = {
-        "dq": motion.dq,
-        "q": motion.q_raw,
-        "tau_load": tau_load,
-        "dq_causal": motion.dq_causal,
-    }
-    known_columns = {name: values for name, values in columns.items() if values is not None}
-    return [
-        FrictionRecord(
+    records = []
+    for j, joint in enumerate(robot.description.joints):
+        record = FrictionRecord(
             log=motion.name,
             joint=joint,
             t=motion.t,
+            dq=_select_joint(motion.dq, j),
+            q=_select_joint(motion.q_raw, j),
+            tau_load=_select_joint(tau_load, j),
             tau=motion.tau[:, j] - tau_body[:, j],
-            tau_body=None if motion.load is None else tau_body[:, j],
             tau_load_spread=None if tau_spread is None else tau_spread[:, j],
             gear_ratio=ratios[j],
             sliding=robot.slides[j],
             temperature=None if motion.temperature is None else motion.temperature[:, j],
             coupling=robot.description.coupling,
-            **{name: np.ascontiguousarray(values[:, j]) for name, values in known_columns.items()},
+            dq_causal=_select_joint(motion.dq_causal, j),
+            tau_body=tau_body[:, j] if has_own_load else None,
         )
-        for j, joint in enumerate(robot.description.joints)
-    ]
+        records.append(record)
+    return records
 
 
 def find_resting_speed(joint_records: Sequence[FrictionRecord]) -> float:

@@ -81,17 +81,15 @@ def torque_constants(
     columns = friction_columns(robot, base_columns(robot))
     load_cases = [(stack_blocks(motions, robot, all_columns, columns), np.zeros(10))]
     if payload is not None:
-        load_cases.append(
-            (stack_blocks(loaded, robot, all_columns, columns), np.array(payload, dtype=float))
-        )
+        loaded_blocks = stack_blocks(loaded, robot, all_columns, columns)
+        load_cases.append((loaded_blocks, np.array(payload, dtype=float)))
     is_weight = np.zeros(len(all_columns))  # weights and first moments
     for k in range(robot.links):
         is_weight[10 * k : 10 * k + 4] = 1.0
     deviations = _prior_deviations(robot, mass_error)
     constants = []
-    for j, (joint, constant) in enumerate(
-        zip(robot.description.joints, assumed_constants, strict=True)
-    ):
+    joint_constants = zip(robot.description.joints, assumed_constants, strict=True)
+    for j, (joint, constant) in enumerate(joint_constants):
         joint_cases = [(blocks[j], carried) for blocks, carried in load_cases]
         kappa, relative = _Problem.from_blocks(joint_cases, robot, is_weight, deviations).solve()
         value = float(constant / kappa) if kappa > 0.0 else np.inf
@@ -152,11 +150,13 @@ class _Problem:
             table = np.column_stack([rigid, payload_torque, joint_friction, block.target])
             (factor,) = qr(table, mode="r", check_finite=False)
             length = correlation_length(block.target - fitted_torque)
-            rows.append(
-                _CompressedRows(np.asarray(factor[: table.shape[1]]), len(joint_friction), length)
-            )
-            weight_torque = rigid @ (is_weight * nominal)
-        trusted_torque = float(np.std(payload_torque if len(load_cases) > 1 else weight_torque))
+            triangle = np.asarray(factor[: table.shape[1]])
+            rows.append(_CompressedRows(triangle, len(joint_friction), length))
+            # The last case is that with the payload, if there is one.
+            trusted = payload_torque
+            if len(load_cases) == 1:
+                trusted = rigid @ (is_weight * nominal)
+        trusted_torque = float(np.std(trusted))
         friction_count = joint_friction.shape[1]
         return cls(
             load_cases=tuple(rows),
@@ -171,11 +171,12 @@ class _Problem:
         parameter_count = len(self.nominal)
         x = self._find_start()
         for _ in range(_ROUNDS):
-            residuals = [self._compute_residual(x, k) for k in range(len(self.load_cases))]
-            scales = [
-                float(np.sqrt(rows.count / max(float(residual @ residual), 1e-12) / rows.length))
-                for rows, residual in zip(self.load_cases, residuals, strict=True)
-            ]
+            scales = []
+            for k, rows in enumerate(self.load_cases):
+                residual = self._compute_residual(x, k)
+                precision = rows.count / max(float(residual @ residual), 1e-12)
+                # Rows within a correlation length count as one.
+                scales.append(float(np.sqrt(precision / rows.length)))
             x = least_squares(self._residuals, x, jac=self._slopes, x_scale="jac", args=(scales,)).x
         slopes = self._slopes(x, scales)
         column_sizes = np.maximum(np.linalg.norm(slopes, axis=0), 1e-150)
@@ -183,10 +184,11 @@ class _Problem:
         error = float(np.linalg.norm(vt[:, 0] / np.maximum(s, 1e-12 * s[0]))) / column_sizes[0]
         rows = self.load_cases[0]
         columns = rows.factor[:, parameter_count + 1 : -1]
-        friction_size = float(np.linalg.norm(columns @ x[self._friction_slice(0)])) / np.sqrt(
-            rows.count
-        )
-        share = _WEIGHT_FRICTION_SHARE if len(self.load_cases) == 1 else _PAYLOAD_FRICTION_SHARE
+        friction = columns @ x[self._friction_slice(0)]
+        friction_size = float(np.linalg.norm(friction)) / np.sqrt(rows.count)
+        share = _PAYLOAD_FRICTION_SHARE
+        if len(self.load_cases) == 1:
+            share = _WEIGHT_FRICTION_SHARE
         friction_error = share * friction_size / max(abs(x[0]) * self.trusted_torque, 1e-12)
         return float(x[0]), float(np.hypot(error / max(abs(x[0]), 1e-12), friction_error))
 
@@ -207,9 +209,8 @@ class _Problem:
     def _compute_torque(self, x: Array, k: int) -> Array:
         parameter_count = len(self.nominal)
         factor = self.load_cases[k].factor
-        return np.asarray(
-            factor[:, :parameter_count] @ x[1 : 1 + parameter_count] + factor[:, parameter_count]
-        )
+        body_torque = factor[:, :parameter_count] @ x[1 : 1 + parameter_count]
+        return np.asarray(body_torque + factor[:, parameter_count])
 
     def _compute_residual(self, x: Array, k: int) -> Array:
         factor = self.load_cases[k].factor
