@@ -138,16 +138,7 @@ class Jumps:
         component = self.component
         given_symbols = {quantity.symbol for quantity in component.given}
         inputs = {quantity.symbol for quantity in component.inputs}
-        jumps: set[sympy.Expr] = set()
-        bends: set[sympy.Expr] = set()
-        for expression in _list_expressions(component):
-            for sign in expression.atoms(sgn):
-                z = sign.args[0]
-                bends.add(z)
-                if z not in jumps and _has_jump(expression, z):
-                    jumps.add(z)
-            for magnitude in expression.atoms(absolute):
-                bends.add(magnitude.args[0])
+        jumps, bends = _find_jumps_and_bends(_list_expressions(component))
         if not self.all_magnitudes:
             reversing = set(component.reversing)
             bends = {bend for bend in bends if bend.free_symbols & inputs <= reversing}
@@ -173,6 +164,23 @@ class Jumps:
         return {
             symbol: expression.xreplace(held_signs) for symbol, expression in assignments.items()
         }
+
+
+def _find_jumps_and_bends(
+    expressions: Iterable[sympy.Expr],
+) -> tuple[set[sympy.Expr], set[sympy.Expr]]:
+    """Return arguments whose sign makes expressions jump, and all of signs and magnitudes."""
+    jumps: set[sympy.Expr] = set()
+    bends: set[sympy.Expr] = set()
+    for expression in expressions:
+        for sign in expression.atoms(sgn):
+            z = sign.args[0]
+            bends.add(z)
+            if z not in jumps and _has_jump(expression, z):
+                jumps.add(z)
+        for magnitude in expression.atoms(absolute):
+            bends.add(magnitude.args[0])
+    return jumps, bends
 
 
 def _list_expressions(component: Component) -> list[sympy.Expr]:

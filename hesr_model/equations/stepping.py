@@ -164,9 +164,11 @@ def _compile_assignments(
         short_symbols.get(symbol, symbol): expression.xreplace(short_symbols)
         for symbol, expression in lines.items()
     }
-    target_symbols = []
-    for group in targets:
-        target_symbols.append([short_symbols[symbol] for symbol in group])
+
+    def shorten(symbols: Sequence[sympy.Symbol]) -> list[sympy.Symbol]:
+        return [short_symbols[symbol] for symbol in symbols]
+
+    target_symbols = list(map(shorten, targets))
     modules: list[Any] = [dict(SCALAR), "math"]
     if lanes:
         modules = [dict(NUMPY), "numpy"]

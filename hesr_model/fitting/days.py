@@ -192,15 +192,16 @@ def _average_laws(laws: Sequence[FrictionLaw]) -> FrictionLaw:
     for covariance in covariances:
         indices = [covariance.names.index(name) for name in names]
         matrices.append(covariance.matrix[np.ix_(indices, indices)])
-    points = []
-    for law in laws:
-        points.append([law.values[name] for name in names])
-    values = np.array(points)
+    values = np.array([_list_values(law, names) for law in laws])
     scatter = np.atleast_2d(np.cov(values, rowvar=False))
     mean = dict(zip(names, map(float, values.mean(axis=0)), strict=True))
     # A further day differs from the mean of K days by 1 + 1/K times the scatter of days.
     further_scatter = (1.0 + 1.0 / len(laws)) * scatter
     return _replace_coefficients(laws[0], mean, np.mean(matrices, axis=0) + further_scatter)
+
+
+def _list_values(law: FrictionLaw, names: Sequence[str]) -> list[float]:
+    return [law.values[name] for name in names]
 
 
 def _replace_coefficients(
@@ -262,7 +263,7 @@ def _adapt_law(
         return law
     names = tuple(limits)
     lower, upper = np.array(list(limits.values())).T
-    prior_point = np.array([law.values[name] for name in names])
+    prior_point = np.array(_list_values(law, names))
     adapted = [covariance.names.index(name) for name in names]
     prior_covariance = covariance.of_another_log
     prior_deviations = np.sqrt(np.maximum(np.diag(prior_covariance), np.finfo(float).tiny))

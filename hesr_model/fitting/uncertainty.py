@@ -64,14 +64,11 @@ def add_standard_errors(
     covariance = _estimate_covariance(
         np.flatnonzero(is_used), jacobian, tau_predicted, joint_records
     )
-    coefficient_slopes = {}
-    for name, derivative in zip(law.values, slope[:, is_used], strict=True):
-        if np.any(derivative != 0.0):
-            coefficient_slopes[name] = derivative
-    slope_rows = np.array(list(coefficient_slopes.values()))
-    law_with_covariance = replace(
-        law, covariance=covariance.transform(list(coefficient_slopes), slope_rows)
-    )
+    named_slopes = zip(law.values, slope[:, is_used], strict=True)
+    coefficient_slopes = {name: row for name, row in named_slopes if np.any(row != 0.0)}
+    names = list(coefficient_slopes)
+    slopes = np.array(list(coefficient_slopes.values()))
+    law_with_covariance = replace(law, covariance=covariance.transform(names, slopes))
     if law.structure.keys() - {"limited"}:  # a structure that the data chose
         return _store_standard_errors(law_with_covariance, {})
     q, r = np.linalg.qr(jacobian)

@@ -205,11 +205,8 @@ def average_blocks(
     if coupling is not None:
         matrix = coupling.torque(matrix)
         target = coupling.torque(target)
-    forward_dq = friction_speeds([forward for forward, _ in matched], robot)
-    backward_dq = friction_speeds([backward for _, backward in matched], robot)
     min_speeds = slow_speeds(peak_speeds([*motions, *counterparts], robot))
-    is_fast = np.minimum(np.abs(forward_dq), np.abs(backward_dq)) > min_speeds
-    is_used = is_fast & (forward_dq * backward_dq < 0)
+    is_used = _find_opposite_rows(matched, min_speeds, robot)
     for joint, rows in zip(robot.description.joints, is_used.T, strict=True):
         if not np.any(rows):
             raise FitError(
@@ -227,6 +224,16 @@ def _average_pair(forward: Motion, backward: Motion, robot: Robot) -> tuple[Arra
     """Return regressor (N, n, P) and torque (N, n) [N.m], means of matched motions."""
     regressor = robot.regressor(*forward.states) + robot.regressor(*backward.states)
     return 0.5 * regressor, 0.5 * (forward.tau + backward.tau)
+
+
+def _find_opposite_rows(
+    matched: Sequence[tuple[Motion, Motion]], min_speeds: Array, robot: Robot
+) -> Mask:
+    """Return (N, n) whether both motions are faster than `min_speeds` (n,), and opposite."""
+    forward_dq = friction_speeds([forward for forward, _ in matched], robot)
+    backward_dq = friction_speeds([backward for _, backward in matched], robot)
+    is_fast = np.minimum(np.abs(forward_dq), np.abs(backward_dq)) > min_speeds
+    return np.asarray(is_fast & (forward_dq * backward_dq < 0))
 
 
 def _number_matched_samples(motions: Sequence[Motion], matched: Sequence[Motion]) -> Integers:
