@@ -37,9 +37,16 @@ class Dependence(IntEnum):
 
 @dataclass(frozen=True)
 class Node:
-    """Value of every row; `detail` is a literal, or the index of a number, input or state."""
+    """Value of every row.
 
-    operation: str  # empty for literals, numbers and inputs
+    Attributes
+    ----------
+    operation : name in `NAMES`; empty for literals, numbers and inputs.
+    operands : nodes.
+    detail : literal, or the index of a number, input or state.
+    """
+
+    operation: str
     operands: "tuple[int, ...]"
     detail: Any
     dependence: Dependence
@@ -244,9 +251,16 @@ class Graph:
 class Program:
     """Program for `rows.c`; registers hold inputs, then uniform values, then the others.
 
-    `inputs` are the inputs of the first registers, `dt` first, then known nodes; `constants` (G,)
-    literals, 0 in place of numbers; `numbers` (2, M) positions there and numbers; `operations`
-    (K, 5) operation, result and three operands, uniform ones first; `results` (R,) registers.
+    Attributes
+    ----------
+    inputs : those of the first registers, `dt` first, then known nodes.
+    constants : (G,) literals, 0 in place of numbers.
+    numbers : (2, M) positions among the constants, and numbers.
+    operations : (K, 5) operation, result and three operands, uniform ones first.
+    uniform : number of uniform operations.
+    uniform_count : number of constants and uniform values.
+    registers : number of registers.
+    results : (R,) registers.
     """
 
     inputs: tuple[int, ...]

@@ -9,14 +9,26 @@ from hesr_model.support.arrays import Array, Mask, select_rows
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrictionRecord:
-    """Friction `tau` [N.m] of one joint in one log (eq. 8), unsmoothed, on the log's own rows.
+    """Friction of one joint in one log (eq. 8), unsmoothed, on the log's own rows.
 
-    t [s], smoothed dq [rad/s], raw q [rad] and rigid-body torque `tau_load` [N.m] are (N,).
-    `tau_load_spread` (N, r) is the error of `tau_load` for one standard deviation of each
-    independent error of the rigid body. `gear_ratio` is turns of the motor per turn of the joint. A
-    `sliding` joint has m and N. `temperature` is in degC. `coupling` is None if uncoupled, and
-    after `transform_records`. `dq_causal` is the velocity behind a causal low pass. In a cylinder,
-    whose `tau_load` is that of its pressures, `tau_body` is the force on the bodies.
+    Attributes
+    ----------
+    log, joint : names.
+    t : (N,) time [s].
+    dq : (N,) smoothed velocity [rad/s].
+    q : (N,) raw position [rad].
+    tau_load : (N,) rigid-body torque [N.m], the load of friction; that of the
+        pressures of a cylinder.
+    tau : (N,) friction [N.m].
+    tau_load_spread : (N, r) error of `tau_load` [N.m] for one standard
+        deviation of each independent error of the rigid body.
+    gear_ratio : turns of the motor per turn of the joint.
+    sliding : True for a prismatic joint, which has m and N.
+    temperature : (N,) of the joint [degC].
+    coupling : None if uncoupled, and after `transform_records`.
+    dq_causal : (N,) velocity behind a causal low pass [rad/s].
+    tau_body : (N,) force on the bodies [N] of a cylinder; None if it is
+        `tau_load`.
     """
 
     log: str
