@@ -118,13 +118,11 @@ class Comparison:
 
     def combine_scores(self, laws: Sequence[str]) -> LawScores:
         """Return the errors of a law per joint."""
-        scores_by_joint = list(enumerate(self.laws[law_name] for law_name in laws))
-        return LawScores(
-            **{
-                measure: tuple(getattr(law_scores, measure)[k] for k, law_scores in scores_by_joint)
-                for measure in MEASURES
-            }
-        )
+        scores = {}
+        for measure in MEASURES:
+            columns = [getattr(self.laws[law_name], measure) for law_name in laws]
+            scores[measure] = tuple(column[j] for j, column in enumerate(columns))
+        return LawScores(**scores)
 
     def unexplained_shares(self, errors: Sequence[float]) -> tuple[float, ...]:
         """Return errors by joint over the standard deviation of its friction."""
@@ -136,14 +134,14 @@ class Comparison:
 
     def to_pandas(self) -> Any:
         """Return a DataFrame of all measures [N.m; `r2` has none] by law and joint."""
-        rows = [
-            (law_name, k, joint) for law_name in self.laws for k, joint in enumerate(self.joints)
-        ]
-        names = {"law": [law_name for law_name, *_ in rows], "joint": [joint for *_, joint in rows]}
-        scores = {
-            m: [getattr(self.laws[law_name], m)[k] for law_name, k, _ in rows] for m in MEASURES
-        }
-        return pandas_frame(names | scores).set_index(["law", "joint"])
+        columns: dict[str, list[Any]] = {name: [] for name in ("law", "joint", *MEASURES)}
+        for law_name, law_scores in self.laws.items():
+            for j, joint in enumerate(self.joints):
+                columns["law"].append(law_name)
+                columns["joint"].append(joint)
+                for measure in MEASURES:
+                    columns[measure].append(getattr(law_scores, measure)[j])
+        return pandas_frame(columns).set_index(["law", "joint"])
 
     def _repr_html_(self) -> str:
         rows = ((law_name, *law_scores.rmse) for law_name, law_scores in self.laws.items())
@@ -165,7 +163,9 @@ def find_unseparated(comparison: Comparison, law_name: str, j: int) -> Unseparat
         return None
     tied = comparison.leading[j][1:]
     detectable = comparison.detectable[j]
-    ratios = [detectable[name] for name in tied if name in detectable] or [*detectable.values()]
+    ratios = [detectable[name] for name in tied if name in detectable]
+    if not ratios:
+        ratios = list(detectable.values())
     return Unseparated(
         laws=tied,
         better=(),
@@ -181,12 +181,19 @@ def transpose_records(records: Sequence[Sequence[FrictionRecord]]) -> list[list[
 
 def make_causal(records: Records) -> list[list[FrictionRecord]]:
     """Return records with the velocity that a user of an FMU has."""
-    return [[record.causal for record in joint_records] for joint_records in records]
+    return [_make_joint_causal(joint_records) for joint_records in records]
+
+
+def _make_joint_causal(joint_records: Iterable[FrictionRecord]) -> list[FrictionRecord]:
+    return [record.causal for record in joint_records]
 
 
 def select_records(names: Iterable[str], records: LogRecords) -> list[list[FrictionRecord]]:
     """Return the records of the named logs, [joint][part]."""
-    return transpose_records([part_records for name in names for part_records in records[name]])
+    parts: list[Sequence[FrictionRecord]] = []
+    for name in names:
+        parts += records[name]
+    return transpose_records(parts)
 
 
 def compare(
@@ -201,9 +208,11 @@ def compare(
     The `inputs` of each law decide the references. Bands of `models` are also scored, and
     predictions of a `zero_phase` velocity.
     """
+    inputs = inputs or {}
+    models = models or {}
+    zero_phase = zero_phase or {}
     scores = {
-        law_name: [score(*pair) for pair in zip(records, torques, strict=True)]
-        for law_name, torques in predictions.items()
+        law_name: _score_joints(records, torques) for law_name, torques in predictions.items()
     }
     fallback = _choose_fallback(predictions)
     ranked = [
@@ -211,36 +220,46 @@ def compare(
         for law_name in predictions
         if law_name != ORACLE and not law_name.endswith(MEASURED_START)
     ]
-    error_tables = [
-        _joint_errors(joint_records, predictions, j, ranked)
-        for j, joint_records in enumerate(records)
-    ]
-    references = [
-        {
-            law_name: _choose_reference(law_name, j, scores, inputs or {}, models or {}, fallback)
+    on_joints = []
+    for j, joint_records in enumerate(records):
+        error_table = _joint_errors(joint_records, predictions, j, ranked)
+        references = {
+            law_name: _choose_reference(law_name, j, scores, inputs, models, fallback)
             for law_name in scores
         }
-        for j in range(len(records))
-    ]
-    separations = [_separate_laws(error_table, ranked) for error_table in error_tables if ranked]
+        on_joints.append(
+            _JointComparison(
+                references=references,
+                ratios=_error_ratios(error_table, references),
+                separation=_separate_laws(error_table, ranked) if ranked else None,
+            )
+        )
+    ratios = _collect_ratios(on_joints, list(scores), fallback, has_own_references=bool(inputs))
+    separations = [joint.separation for joint in on_joints if joint.separation is not None]
     return Comparison(
         joints=tuple(joint_records[0].joint for joint_records in records),
         tau_std=tuple(score.tau_std for score in scores[fallback]),
         laws={law_name: _law_scores(joint_scores) for law_name, joint_scores in scores.items()},
-        ratios=_collect_ratios(
-            error_tables, references, list(scores), fallback, has_own_references=bool(inputs)
-        ),
+        ratios=ratios,
         leading=tuple(separation.leading for separation in separations),
-        bands=_band_scores(models or {}, records, predictions),
+        bands=_band_scores(models, records, predictions),
         detectable=tuple(separation.detectable for separation in separations),
         seconds=tuple(separation.laws[separation.leading[0]].seconds for separation in separations),
         unseparated=tuple(separation.laws for separation in separations),
         log_count=len({record.log for record in records[0]}),
         zero_phase={
-            law_name: tuple(score(*pair).rmse for pair in zip(records, torques, strict=True))
-            for law_name, torques in (zero_phase or {}).items()
+            law_name: _law_scores(_score_joints(records, torques)).rmse
+            for law_name, torques in zero_phase.items()
         },
     )
+
+
+def _score_joints(records: Records, torques: Sequence[Sequence[Array]]) -> list[Score]:
+    """Score the torques [joint][log] of one law on each joint."""
+    return [
+        score(joint_records, joint_torques)
+        for joint_records, joint_torques in zip(records, torques, strict=True)
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -259,9 +278,25 @@ class _Separation:
     detectable: dict[str, float]
 
 
+@dataclass(frozen=True, kw_only=True)
+class _JointComparison:
+    """Comparison of the laws on one joint.
+
+    Attributes
+    ----------
+    references : reference of each law; that of a reference may be itself.
+    ratios : ratio of each law to its reference, without laws that are their own reference.
+    separation : laws that the test separates; None if no law is ranked.
+    """
+
+    references: Mapping[str, str]
+    ratios: Mapping[str, ErrorRatio]
+    separation: _Separation | None
+
+
 def _separate_laws(error_table: LawErrors, ranked: Sequence[str]) -> _Separation:
     """Compare each law of a joint with all others."""
-    laws = {law_name: _compare_with(error_table, law_name, ranked) for law_name in ranked}
+    laws = {law_name: _compare_to_rivals(error_table, law_name, ranked) for law_name in ranked}
     best = min(ranked, key=lambda law_name: _find_log_rmse(error_table, law_name))
     return _Separation(
         laws=laws,
@@ -271,26 +306,22 @@ def _separate_laws(error_table: LawErrors, ranked: Sequence[str]) -> _Separation
 
 
 def _collect_ratios(
-    error_tables: Sequence[LawErrors],
-    references: Sequence[Mapping[str, str]],
+    on_joints: Sequence[_JointComparison],
     law_names: Sequence[str],
     fallback: str,
     *,
     has_own_references: bool,
 ) -> Ratios:
     """Return the ratios to references by law and joint; a reference has 1 to itself."""
-    ratios = [_error_ratios(*pair) for pair in zip(error_tables, references, strict=True)]
     itself = ErrorRatio(value=1.0, low=1.0, high=1.0, p=1.0)
     ratios_by_law = {}
     references_by_law = {}
     for law_name in law_names:
-        if any(law_name in joint_ratios for joint_ratios in ratios):
+        if any(law_name in joint.ratios for joint in on_joints):
             ratios_by_law[law_name] = tuple(
-                joint_ratios.get(law_name, itself) for joint_ratios in ratios
+                joint.ratios.get(law_name, itself) for joint in on_joints
             )
-            references_by_law[law_name] = tuple(
-                joint_references[law_name] for joint_references in references
-            )
+            references_by_law[law_name] = tuple(joint.references[law_name] for joint in on_joints)
     return Ratios(
         reference=fallback,
         laws=ratios_by_law,
@@ -310,12 +341,12 @@ def _choose_fallback(laws: Iterable[str]) -> str:
 
 def _law_scores(joint_scores: Sequence[Score]) -> LawScores:
     """Return the scores of a law on each joint as its errors per joint."""
-    measures = (*MEASURES, "rmse_rest")
     return LawScores(
-        **{
-            measure: tuple(getattr(score, measure) for score in joint_scores)
-            for measure in measures
-        }
+        rmse=tuple(score.rmse for score in joint_scores),
+        rmse_reversal=tuple(score.rmse_reversal for score in joint_scores),
+        rmse_moving=tuple(score.rmse_moving for score in joint_scores),
+        r2=tuple(score.r2 for score in joint_scores),
+        rmse_rest=tuple(score.rmse_rest for score in joint_scores),
     )
 
 
@@ -325,16 +356,14 @@ def _joint_errors(
     j: int,
     ranked: Sequence[str],
 ) -> LawErrors:
-    errors = {
-        law_name: [tau - record.tau for record, tau in zip(joint_records, torques[j], strict=True)]
-        for law_name, torques in predictions.items()
-    }
-    return law_errors(
-        errors,
-        [float(np.median(np.diff(record.t))) for record in joint_records],
-        ranked,
-        [record.log for record in joint_records],
-    )
+    """Return the errors of all laws on the logs of one joint."""
+    errors = {}
+    for law_name, torques in predictions.items():
+        errors[law_name] = [
+            tau - record.tau for record, tau in zip(joint_records, torques[j], strict=True)
+        ]
+    periods = [float(np.median(np.diff(record.t))) for record in joint_records]
+    return law_errors(errors, periods, ranked, [record.log for record in joint_records])
 
 
 def _error_ratios(error_table: LawErrors, references: Mapping[str, str]) -> dict[str, ErrorRatio]:
@@ -351,7 +380,7 @@ def _find_log_rmse(error_table: LawErrors, law_name: str) -> float:
     return float(error_table.log_rmse[error_table.laws.index(law_name)])
 
 
-def _compare_with(error_table: LawErrors, law_name: str, ranked: Sequence[str]) -> Unseparated:
+def _compare_to_rivals(error_table: LawErrors, law_name: str, ranked: Sequence[str]) -> Unseparated:
     """Return the laws that a test does not separate from a law, and those that are better."""
     # One family per joint; one over all would have little power.
     rivals = [rival for rival in ranked if rival != law_name]
@@ -360,17 +389,22 @@ def _compare_with(error_table: LawErrors, law_name: str, ranked: Sequence[str]) 
     ratios = error_table.ratios(law_name, len(rivals))
     rival_ratios = error_table.adjust({rival: ratios[rival] for rival in rivals})
     alike = [rival for rival in rivals if rival_ratios[rival].verdict == "alike"]
-    by_detectable = sorted(
-        (ratio, rival)
-        for rival in alike or rivals
-        if (ratio := rival_ratios[rival].detectable) is not None
-    )
-    # The time grows with the detectable ratio, so that the middle law has the median time.
-    middle_rival = by_detectable[len(by_detectable) // 2][1] if by_detectable else rivals[0]
+    detectable_ratios = []
+    for rival in alike or rivals:
+        ratio = rival_ratios[rival].detectable
+        if ratio is not None:
+            detectable_ratios.append((ratio, rival))
+    middle_rival = rivals[0]
+    detectable = None
+    if detectable_ratios:
+        detectable_ratios.sort()
+        # The time grows with the detectable ratio, so that the middle law has the median time.
+        _, middle_rival = detectable_ratios[len(detectable_ratios) // 2]
+        detectable = (detectable_ratios[0][0], detectable_ratios[-1][0])
     return Unseparated(
         laws=tuple(alike),
         better=tuple(rival for rival in rivals if rival_ratios[rival].verdict == "better"),
-        detectable=(by_detectable[0][0], by_detectable[-1][0]) if by_detectable else None,
+        detectable=detectable,
         seconds=error_table.required_seconds(middle_rival, law_name, RECORDED, len(rivals)),
     )
 
@@ -390,31 +424,30 @@ def _band_scores(
     records: Records,
     predictions: Mapping[str, Sequence[Sequence[Array]]],
 ) -> dict[str, tuple[BandScore, ...]]:
-    motions = [
-        {
-            name: np.column_stack([record.causal.motion[name] for record in log_records])
-            for name in ("dq", "q", "tau_load")
-        }
-        | {"t": log_records[0].t}
-        for log_records in zip(*records, strict=True)
-    ]
+    """Return the coverage by the bands of models that have one, by law and joint."""
     scores = {}
-    for name, model in models.items():
-        if model.banded:
-            torques = map(np.column_stack, zip(*predictions[name], strict=True))
-            ends = [
-                compute_band(model, **motion, torque=torque)
-                for motion, torque in zip(motions, torques, strict=True)
-            ]
-            scores[name] = tuple(
-                score_band(
-                    joint_records,
-                    predictions[name][k],
-                    [(lower[:, k], upper[:, k]) for lower, upper in ends],
-                )
-                for k, joint_records in enumerate(records)
-            )
+    motions = [_stack_motion(log_records) for log_records in zip(*records, strict=True)]
+    for law_name, model in models.items():
+        if not model.banded:
+            continue
+        torques = predictions[law_name]
+        bands = []
+        for motion, log_torques in zip(motions, zip(*torques, strict=True), strict=True):
+            bands.append(compute_band(model, **motion, torque=np.column_stack(log_torques)))
+        joint_scores = []
+        for j, joint_records in enumerate(records):
+            joint_bands = [(lower[:, j], upper[:, j]) for lower, upper in bands]
+            joint_scores.append(score_band(joint_records, torques[j], joint_bands))
+        scores[law_name] = tuple(joint_scores)
     return scores
+
+
+def _stack_motion(log_records: Sequence[FrictionRecord]) -> dict[str, Array]:
+    """Return the causal motion of all joints in one log: t (N,), and (N, n) of each quantity."""
+    motion = {"t": log_records[0].t}
+    for name in ("dq", "q", "tau_load"):
+        motion[name] = np.column_stack([record.causal.motion[name] for record in log_records])
+    return motion
 
 
 def _choose_reference(
@@ -432,9 +465,8 @@ def _choose_reference(
     if law_name not in inputs:
         return fallback
     law_inputs = set(inputs[law_name].split(", "))
-    suffix = MEASURED_START * law_name.endswith(MEASURED_START)
 
-    def error(row: str) -> float:
+    def find_error(row: str) -> float:
         model = models.get(row.removesuffix(MEASURED_START))
         if model is None or not model.left_out_rmse:
             return scores[row][j].rmse
@@ -446,8 +478,10 @@ def _choose_reference(
         for row in scores
         if _is_classic(row, models) and set(inputs.get(row, "v").split(", ")) <= law_inputs
     ]
-    with_start = [row for row in classic if suffix and row.endswith(suffix)]
-    return min(with_start or classic, key=error, default=fallback)
+    with_start = []
+    if law_name.endswith(MEASURED_START):
+        with_start = [row for row in classic if row.endswith(MEASURED_START)]
+    return min(with_start or classic, key=find_error, default=fallback)
 
 
 def _is_classic(row: str, models: Mapping[str, FrictionModel]) -> bool:
@@ -484,9 +518,12 @@ def select_window(
 
 def name_inputs(model: FrictionModel) -> str:
     """Return the inputs that a model uses on any joint; the velocity if it uses none."""
-    used_symbols = {symbol for law in model.laws for symbol in law.form.inputs}
-    named_symbols = zip(INPUTS, ("v", "q", "load"), strict=True)
-    names = [name for symbol, name in named_symbols if symbol in used_symbols]
+    inputs_by_law = [law.form.inputs for law in model.laws]
+    names = []
+    for symbol, name in zip(INPUTS, ("v", "q", "load"), strict=True):
+        if any(symbol in law_inputs for law_inputs in inputs_by_law):
+            names.append(name)
+
     # A constant torque competes with the laws that need no more than every FMU gets.
     return ", ".join(names or ["v"])
 
@@ -503,10 +540,12 @@ def table_rows(models: Mapping[str, FrictionModel]) -> dict[str, tuple[str, bool
 
 def input_classes(models: Mapping[str, FrictionModel]) -> dict[str, str]:
     """Return the inputs of each row of a table; only rows with equal inputs compare fairly."""
-    return {
-        row: name_inputs(models[name]) + (", start" if with_start else "")
-        for row, (name, with_start) in table_rows(models).items()
-    }
+    classes = {}
+    for row, (name, with_start) in table_rows(models).items():
+        classes[row] = name_inputs(models[name])
+        if with_start:
+            classes[row] += ", start"
+    return classes
 
 
 def predict_models(

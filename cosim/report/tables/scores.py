@@ -1,9 +1,11 @@
 """Tables of prediction errors, bands, alternative plants and position errors."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain
 from operator import truediv
 from statistics import geometric_mean
+from typing import NamedTuple
 
 from cosim.report.tables.table import (
     ResultTable,
@@ -16,7 +18,15 @@ from cosim.report.tables.table import (
     title,
 )
 from cosim.study.position_errors import PositionErrors
-from cosim.study.scores import ORACLE, REFERENCE, Comparison, Errors, Ratios, find_unseparated
+from cosim.study.scores import (
+    ORACLE,
+    REFERENCE,
+    Comparison,
+    Errors,
+    Ratios,
+    Unseparated,
+    find_unseparated,
+)
 from cosim.study.verdict import format_excess_percent
 from hesr_model.audit.properties import EXPECTATIONS, FEED_FORWARD, Properties
 from hesr_model.friction.model import FrictionModel
@@ -35,6 +45,34 @@ NOT_JUDGED = "\u2013"
 _FEW_LOGS = 4  # logs below which intervals for other logs are wide
 
 
+class _JointColumn(NamedTuple):
+    """Format of the errors of one joint.
+
+    Attributes
+    ----------
+    places : decimals.
+    leader : law that is better than all others, or "".
+    """
+
+    places: int
+    leader: str
+
+
+class _PositionColumn(NamedTuple):
+    """Column of `position_errors`.
+
+    Attributes
+    ----------
+    head : its head.
+    scale : shown units in one unit of the errors.
+    errors : errors of each law by joint; None if the simulation diverges.
+    """
+
+    head: str
+    scale: float
+    errors: Mapping[str, Sequence[float | None]]
+
+
 def errors(
     name: str,
     comparison: Comparison,
@@ -49,36 +87,23 @@ def errors(
     last, with their reasons.
     """
     values = {law_name: getattr(scores, measure) for law_name, scores in comparison.laws.items()}
-    places = [decimals(column) for column in zip(*values.values(), strict=True)]
     covers_all_rows = measure == "rmse"
-    ratios = comparison.ratios.laws if covers_all_rows else {}
-    zero_phase = comparison.zero_phase if covers_all_rows else {}
+    columns = _format_joints(comparison, values, marks_leaders=covers_all_rows)
+    ratios: Mapping[str, Sequence[ErrorRatio]] = {}
+    zero_phase: Mapping[str, Sequence[float]] = {}
     rows = []
-    best = [""] * len(comparison.joints)
     if covers_all_rows:
-        cells = [fixed_cell(*pair) for pair in zip(comparison.tau_std, places, strict=True)]
-        if zero_phase:
-            cells.append(fixed_cell(None, 2))
-        rows.append(make_row("(std of friction)", *cells, quiet=True))
-        if len(values) > 1 and comparison.leading:
-            best = [_find_clear_leader(leaders) for leaders in comparison.leading]
+        ratios = comparison.ratios.laws
+        zero_phase = comparison.zero_phase
+        rows.append(_make_std_row(comparison, columns))
 
     def make_law_row(law_name: str) -> TableRow:
-        notes = [ratio_notes(ratio) for ratio in ratios.get(law_name, ())]
-        cells = [
-            fixed_cell(
-                value,
-                places[k],
-                best=law_name == best[k],
-                notes=notes[k] if notes else (),
-            )
-            for k, value in enumerate(values[law_name])
-        ]
+        cells = _error_cells(law_name, values[law_name], columns, ratios.get(law_name, ()))
         if zero_phase:
             cells.append(_zero_phase_cell(values[law_name], zero_phase.get(law_name)))
         return make_row(title(law_name), *cells)
 
-    ranked = sorted(values, key=lambda law_name: (law_name == ORACLE, comparison.size(law_name)))
+    ranked = _rank_laws(values, comparison)
     for label, laws in _group_by_inputs(ranked, inputs).items():
         if label is not None:
             rows.append(make_row(f"inputs {label}" if label else "for comparison"))
@@ -86,11 +111,12 @@ def errors(
     for law_name, reason in (left_out or {}).items():
         rows.append(make_row(f"{title(law_name)} was left out: {reason}"))
     unit = unit_of_joints("N.m", sliding)
-    small = _describe_ratios(comparison.ratios) if ratios else ""
+    head = ["law", *joints(len(comparison.joints))]
+    small = ""
+    if ratios:
+        small = _describe_ratios(comparison.ratios)
     if zero_phase:
         small += "; velocity behind a causal low pass; zero phase: mean ratio of RMSE without lag"
-    head = ["law", *joints(len(comparison.joints))]
-    if zero_phase:
         head.append("zero phase")
     return ResultTable(
         caption=f"{name}: RMSE of the predicted torque [{unit}] {MEASURES[measure]}{small}"
@@ -100,9 +126,55 @@ def errors(
     )
 
 
+def _format_joints(
+    comparison: Comparison,
+    values: Mapping[str, Sequence[float | None]],
+    *,
+    marks_leaders: bool,
+) -> list[_JointColumn]:
+    """Return the format of each joint's values by law."""
+    leaders = [""] * len(comparison.joints)
+    if marks_leaders and len(values) > 1 and comparison.leading:
+        leaders = [_find_clear_leader(tied) for tied in comparison.leading]
+    value_columns = zip(*values.values(), strict=True)
+    return [
+        _JointColumn(decimals(joint_values), leader)
+        for joint_values, leader in zip(value_columns, leaders, strict=True)
+    ]
+
+
 def _find_clear_leader(leaders: Sequence[str]) -> str:
     """Return the leading law if no other one ties with it, else an empty name."""
     return leaders[0] if len(leaders) == 1 else ""
+
+
+def _make_std_row(comparison: Comparison, columns: Sequence[_JointColumn]) -> TableRow:
+    """Return the row of the standard deviation of each joint's friction."""
+    cells = []
+    for std, column in zip(comparison.tau_std, columns, strict=True):
+        cells.append(fixed_cell(std, column.places))
+    if comparison.zero_phase:
+        cells.append(fixed_cell(None, 2))
+    return make_row("(std of friction)", *cells, quiet=True)
+
+
+def _error_cells(
+    law_name: str,
+    values: Sequence[float | None],
+    columns: Sequence[_JointColumn],
+    ratios: Sequence[ErrorRatio],
+) -> list[TableCell]:
+    """Return the cells of a law's errors by joint, with its ratios to references if known."""
+    cells = []
+    for j, (value, column) in enumerate(zip(values, columns, strict=True)):
+        notes = ratio_notes(ratios[j]) if ratios else ()
+        cells.append(fixed_cell(value, column.places, best=law_name == column.leader, notes=notes))
+    return cells
+
+
+def _rank_laws(laws: Iterable[str], comparison: Comparison) -> list[str]:
+    """Sort laws by their unexplained share of friction; the oracle comes last."""
+    return sorted(laws, key=lambda law_name: (law_name == ORACLE, comparison.size(law_name)))
 
 
 def _describe_ratios(ratios: Ratios) -> str:
@@ -110,12 +182,18 @@ def _describe_ratios(ratios: Ratios) -> str:
     reference = title(ratios.reference)
     if ratios.fair:
         reference = "the strongest classic law of the same inputs or fewer"
-    is_for_others = any(ratio.on_other_logs for row in ratios.laws.values() for ratio in row)
-    scope = "other logs of the kind" if is_for_others else "this log"
+    scope = describe_scope(chain.from_iterable(ratios.laws.values()))
     return (
         f"; small: ratio to {reference} with its 95\u00a0% interval on {scope}, for each ratio "
         "alone; bold: after Holm over the laws of a joint"
     )
+
+
+def describe_scope(ratios: Iterable[ErrorRatio]) -> str:
+    """Return the logs for which the intervals of ratios hold."""
+    if any(ratio.on_other_logs for ratio in ratios):
+        return "other logs of the kind"
+    return "this log"
 
 
 def recommendation(choice: LawChoice, properties: Properties | None) -> ResultTable:
@@ -124,12 +202,11 @@ def recommendation(choice: LawChoice, properties: Properties | None) -> ResultTa
     `properties` are the physics checks of the recommended laws, None if they were not run.
     """
     rows = []
-    for j, (name, joint_choice) in enumerate(
-        zip(joints(len(choice.joints)), choice.joints, strict=True)
-    ):
+    names = joints(len(choice.joints))
+    for j, joint_choice in enumerate(choice.joints):
         rows.append(
             make_row(
-                name,
+                names[j],
                 title(joint_choice.law_name),
                 _format_ratio(joint_choice),
                 _format_percent(joint_choice.unexplained),
@@ -162,7 +239,9 @@ def _format_ratio(joint_choice: JointChoice) -> str:
 
 
 def _format_percent(share: float | None) -> str:
-    return NOT_JUDGED if share is None else f"{100.0 * share:.0f} %"
+    if share is None:
+        return NOT_JUDGED
+    return f"{100.0 * share:.0f} %"
 
 
 def _describe_feed_forward(properties: Properties | None, j: int) -> str:
@@ -171,7 +250,9 @@ def _describe_feed_forward(properties: Properties | None, j: int) -> str:
         return "not checked"
     results = properties.joints[j].findings
     failed = [EXPECTATIONS[key].title for key in FEED_FORWARD if results[key].verdict == "fail"]
-    return f"fails: {', '.join(failed)}" if failed else "safe"
+    if failed:
+        return f"fails: {', '.join(failed)}"
+    return "safe"
 
 
 def separations(name: str, comparison: Comparison, laws: Sequence[str] = ()) -> ResultTable | None:
@@ -189,21 +270,14 @@ def separations(name: str, comparison: Comparison, laws: Sequence[str] = ()) -> 
         cells = [title(law_name)]
         if laws:
             better = unseparated.better if unseparated else ()
-            cells += [title(best), ", ".join(map(title, better)) or "none"]
-        if unseparated is None:  # results of earlier versions
-            cells += ["unknown"] * 3
-        else:
-            detectable_text = "too short"
-            if unseparated.detectable:
-                detectable_text = format_excess_percent(*unseparated.detectable)
-            cells += [
-                ", ".join(map(title, unseparated.laws)) or "none",
-                detectable_text,
-                f"{unseparated.seconds:.0f} s",
-            ]
+            cells += [title(best), _join_titles(better)]
+        cells += _describe_separation(unseparated)
         rows.append(make_row(short, *cells))
-    judged = "recommended law" if laws else "law with the lowest error"
-    head = ("recommended", "lowest error", "better") if laws else ("lowest error",)
+    judged = "law with the lowest error"
+    head = ["lowest error"]
+    if laws:
+        judged = "recommended law"
+        head = ["recommended", "lowest error", "better"]
     return ResultTable(
         caption=f"{name}: laws that the test does not separate from the {judged}",
         head=("joint", *head, "not separated", "would show", "for 10 %"),
@@ -211,6 +285,20 @@ def separations(name: str, comparison: Comparison, laws: Sequence[str] = ()) -> 
         numeric=False,
         note=_describe_test(comparison.log_count),
     )
+
+
+def _describe_separation(unseparated: Unseparated | None) -> list[str]:
+    """Return the laws not separated from a law, what would show, and the time that it takes."""
+    if unseparated is None:  # results of earlier versions
+        return ["unknown"] * 3
+    detectable_text = "too short"
+    if unseparated.detectable:
+        detectable_text = format_excess_percent(*unseparated.detectable)
+    return [_join_titles(unseparated.laws), detectable_text, f"{unseparated.seconds:.0f} s"]
+
+
+def _join_titles(laws: Iterable[str]) -> str:
+    return ", ".join(map(title, laws)) or "none"
 
 
 def _describe_test(log_count: int) -> str:
@@ -243,9 +331,11 @@ def cross_validation(
         return None
     columns = list(zip(*(model.left_out_rmse for model in validated_models.values()), strict=True))
     places = list(map(decimals, columns))
+    caption = f"RMSE on training logs left out in turn [{unit_of_joints('N.m', sliding)}]"
+    if any(model.coupling for model in validated_models.values()):
+        caption += ", of friction coordinates"
     return ResultTable(
-        caption=f"RMSE on training logs left out in turn [{unit_of_joints('N.m', sliding)}]"
-        + ", of friction coordinates" * any(model.coupling for model in validated_models.values()),
+        caption=caption,
         head=("law", *joints(len(columns))),
         rows=[
             make_row(title(law_name), *map(fixed_cell, model.left_out_rmse, places))
@@ -259,24 +349,33 @@ def bands(name: str, comparison: Comparison) -> ResultTable:
 
     Notes: share of moving rows, share near reversals, width over that of an equal constant band.
     """
-
-    def cell(band: BandScore) -> TableCell:
-        shares = (band.held_moving, band.held_reversal)
-        notes = ["–" if share is None else f"{100.0 * share:.0f}" for share in shares]
-        width = "–" if band.width is None else f"× {band.width:.2f}"
-        return fixed_cell(100.0 * band.held, 1, notes=(*notes, width))
-
-    ranked = sorted(
-        comparison.bands, key=lambda law_name: (law_name == ORACLE, comparison.size(law_name))
-    )
+    ranked = _rank_laws(comparison.bands, comparison)
     return ResultTable(
         caption=f"{name}: rows within the 95\u00a0% band [%]; small: moving, near reversals, and "
         "width over that of a constant band of the same coverage",
         head=("law", *joints(len(comparison.joints))),
         rows=[
-            make_row(title(law_name), *map(cell, comparison.bands[law_name])) for law_name in ranked
+            make_row(title(law_name), *map(_band_cell, comparison.bands[law_name]))
+            for law_name in ranked
         ],
     )
+
+
+def _band_cell(band: BandScore) -> TableCell:
+    """Return the coverage of a joint's band [%]; notes as in `bands`."""
+    notes = (
+        _format_number(band.held_moving, "{:.0f}", scale=100.0),
+        _format_number(band.held_reversal, "{:.0f}", scale=100.0),
+        _format_number(band.width, "× {:.2f}"),
+    )
+    return fixed_cell(100.0 * band.held, 1, notes=notes)
+
+
+def _format_number(value: float | None, template: str, *, scale: float = 1.0) -> str:
+    """Return a scaled number by a template, or a dash without one."""
+    if value is None:
+        return NOT_JUDGED
+    return template.format(scale * value)
 
 
 def compare_truths(
@@ -286,53 +385,47 @@ def compare_truths(
 ) -> ResultTable:
     """Return errors over the reference's by plant of a twin; `run_truth` is that of the run."""
     first_errors = next(iter(errors_by_truth.values()))
-    laws = list(dict.fromkeys(law_name for errors in first_errors.values() for law_name in errors))
-    scores = {test: comparisons[test].laws for test in first_errors}
-    run_errors = {
-        test: {law_name: law_scores[law_name].rmse for law_name in laws if law_name in law_scores}
-        for test, law_scores in scores.items()
-    }
+    laws = list(dict.fromkeys(chain.from_iterable(first_errors.values())))
+    run_errors = {test: _select_rmse(comparisons[test], laws) for test in first_errors}
     truths: Mapping[str, Errors] = {run_truth or "MJCF": run_errors, **errors_by_truth}
     reference = REFERENCE if REFERENCE in laws else laws[0]
-    means = {
-        law_name: [
-            _mean_ratio(truth_errors, law_name, reference) for truth_errors in truths.values()
-        ]
-        for law_name in laws
-    }
-    ranked = sorted(
-        means,
-        key=lambda law_name: (
-            law_name == ORACLE,
-            sum(mean_ratio or float("inf") for mean_ratio in means[law_name]),
-        ),
-    )
-    lowest = [
-        min(
-            (
-                mean_ratio
-                for law_name in laws
-                if law_name != ORACLE and (mean_ratio := means[law_name][k]) is not None
-            ),
-            default=0.0,
-        )
-        for k in range(len(truths))
-    ]
+    columns = [_mean_ratios(truth_errors, laws, reference) for truth_errors in truths.values()]
+    lowest_ratios = [_find_lowest_ratio(column) for column in columns]
+
+    def rank(law_name: str) -> tuple[bool, float]:
+        # A law that has no error on some plant follows all that have one on each.
+        return law_name == ORACLE, sum(column[law_name] or math.inf for column in columns)
+
+    rows = []
+    for law_name in sorted(laws, key=rank):
+        cells = []
+        for column, lowest_ratio in zip(columns, lowest_ratios, strict=True):
+            mean_ratio = column[law_name]
+            cells.append(fixed_cell(mean_ratio, 3, best=mean_ratio == lowest_ratio))
+        rows.append(make_row(title(law_name), *cells))
     return ResultTable(
         caption=f"Alternative plants of the twin: RMSE over that of {title(reference)}, geometric "
         "mean over joints and test sets",
         head=("law", *truths),
-        rows=[
-            make_row(
-                title(law_name),
-                *(
-                    fixed_cell(mean_ratio, 3, best=mean_ratio == best)
-                    for mean_ratio, best in zip(means[law_name], lowest, strict=True)
-                ),
-            )
-            for law_name in ranked
-        ],
+        rows=rows,
     )
+
+
+def _select_rmse(comparison: Comparison, laws: Iterable[str]) -> dict[str, tuple[float, ...]]:
+    """Return the errors [N.m] by joint of those laws that a test has scored."""
+    return {
+        law_name: comparison.laws[law_name].rmse for law_name in laws if law_name in comparison.laws
+    }
+
+
+def _find_lowest_ratio(mean_ratios: Mapping[str, float | None]) -> float:
+    """Return the lowest ratio of a law that users can run; 0 if there is none."""
+    known_ratios = [
+        mean_ratio
+        for law_name, mean_ratio in mean_ratios.items()
+        if law_name != ORACLE and mean_ratio is not None
+    ]
+    return min(known_ratios, default=0.0)
 
 
 def describe_true_friction(truth: str) -> str:
@@ -350,14 +443,22 @@ def find_leader(errors: Errors) -> str:
     return min(laws, key=lambda law_name: _mean_ratio(errors, law_name, laws[0]) or math.inf)
 
 
+def _mean_ratios(errors: Errors, laws: Iterable[str], reference: str) -> dict[str, float | None]:
+    return {law_name: _mean_ratio(errors, law_name, reference) for law_name in laws}
+
+
 def _mean_ratio(errors: Errors, law_name: str, reference: str) -> float | None:
-    log_ratios = [
-        math.log(law_error / reference_error)
-        for row in errors.values()
-        if law_name in row and reference in row
-        for law_error, reference_error in zip(row[law_name], row[reference], strict=True)
-    ]
-    return math.exp(math.fsum(log_ratios) / len(log_ratios)) if log_ratios else None
+    """Return the geometric mean of a law's errors over those of a reference; None if unknown."""
+    log_ratios: list[float] = []
+    for test_errors in errors.values():
+        if law_name in test_errors and reference in test_errors:
+            pairs = zip(test_errors[law_name], test_errors[reference], strict=True)
+            log_ratios += [math.log(error / reference_error) for error, reference_error in pairs]
+
+    if not log_ratios:
+        return None
+    # An exact sum does not depend on the order of the tests.
+    return math.exp(math.fsum(log_ratios) / len(log_ratios))
 
 
 def position_errors(
@@ -368,53 +469,52 @@ def position_errors(
 ) -> ResultTable:
     """Return errors of laws by joint: torque for feed-forward, position for simulation."""
     laws = list(simulated_errors.windows)
-    errors: list[list[Sequence[float | None]]] = [
-        [comparison.laws[law_name].rmse for law_name in laws]
-    ]
-    errors += [
-        [simulated_errors.windows[law_name][k] for law_name in laws]
-        for k in range(len(simulated_errors.lengths))
-    ]
-    heads = [f"{length:g} s" for length in simulated_errors.lengths]
-    if simulated_errors.open_loop:
-        errors.append(
-            [
-                simulated_errors.open_loop.get(law_name, (None,) * len(simulated_errors.joints))
-                for law_name in laws
-            ]
-        )
-        heads.append("open loop")
+    joint_names = joints(len(simulated_errors.joints))
+    columns = _position_columns(simulated_errors, comparison)
     rows = []
-    for j, joint in enumerate(joints(len(simulated_errors.joints))):
-        columns = [
-            [error and scale * error for error in (law_errors[j] for law_errors in column)]
-            for column, scale in zip(errors, (1.0, *[1e3] * len(heads)), strict=True)
-        ]
-        lowest = [
-            min((error for error in column if error is not None), default=None)
-            for column in columns
-        ]
-        places = [decimals(column) for column in columns]
-        rows += [make_row(joint)] * (len(simulated_errors.joints) > 1)
-        rows += [
-            make_row(
-                title(law_name),
-                *(
-                    fixed_cell(error, decimal_count, best=error == best)
-                    for error, decimal_count, best in zip(row, places, lowest, strict=True)
-                ),
-            )
-            for law_name, *row in zip(laws, *columns, strict=True)
-        ]
+    for j, joint in enumerate(joint_names):
+        if len(joint_names) > 1:
+            rows.append(make_row(joint))
+        column_cells = [_position_cells(column, laws, j) for column in columns]
+        for law_name, *cells in zip(laws, *column_cells, strict=True):
+            rows.append(make_row(title(law_name), *cells))
     torque = unit_of_joints("N.m", sliding)
     position = unit_of_joints("mrad", sliding)
     return ResultTable(
         caption=f"{name}: RMS error of the torque [{torque}], and of the position [{position}] "
         "simulated with measured torque, identified body and friction: over windows, and over "
         "whole logs in open loop",
-        head=("law", "torque", *heads),
+        head=("law", *(column.head for column in columns)),
         rows=rows,
     )
+
+
+def _position_columns(
+    simulated_errors: PositionErrors, comparison: Comparison
+) -> list[_PositionColumn]:
+    """Return the columns of torques, of windows by length, and of whole logs if simulated."""
+    windows = simulated_errors.windows
+    torque_errors = {law_name: comparison.laws[law_name].rmse for law_name in windows}
+    columns = [_PositionColumn("torque", 1.0, torque_errors)]
+    for k, length in enumerate(simulated_errors.lengths):
+        window_errors = {law_name: windows[law_name][k] for law_name in windows}
+        columns.append(_PositionColumn(f"{length:g} s", 1e3, window_errors))
+    if simulated_errors.open_loop:
+        unknown = (None,) * len(simulated_errors.joints)
+        log_errors = {
+            law_name: simulated_errors.open_loop.get(law_name, unknown) for law_name in windows
+        }
+        columns.append(_PositionColumn("open loop", 1e3, log_errors))
+    return columns
+
+
+def _position_cells(column: _PositionColumn, laws: Sequence[str], j: int) -> list[TableCell]:
+    """Return the cells of one joint by law, the lowest error in bold."""
+    joint_errors = [column.errors[law_name][j] for law_name in laws]
+    scaled_errors = [None if error is None else column.scale * error for error in joint_errors]
+    lowest = min((error for error in scaled_errors if error is not None), default=None)
+    places = decimals(scaled_errors)
+    return [fixed_cell(error, places, best=error == lowest) for error in scaled_errors]
 
 
 def _zero_phase_cell(errors: Sequence[float], zero_phase: Sequence[float] | None) -> TableCell:
@@ -446,4 +546,9 @@ def _group_by_inputs(
     classes: dict[str | None, list[str]] = {}
     for law_name in laws:
         classes.setdefault(inputs.get(law_name, ""), []).append(law_name)
-    return dict(sorted(classes.items(), key=lambda c: (not c[0], str(c[0]).count(","))))
+
+    def rank(label: str | None) -> tuple[bool, int]:
+        # Few inputs come first; rows without a class, for comparison, come last.
+        return not label, str(label).count(",")
+
+    return {label: classes[label] for label in sorted(classes, key=rank)}
