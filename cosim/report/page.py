@@ -2,9 +2,10 @@
 
 import logging
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -108,39 +109,62 @@ def compose_report(
     A `brief` page has neither files of figures nor zooming views.
     """
     chapters_by_section = _arrange_chapters()
-    chapters = [chapter for group in chapters_by_section.values() for chapter in group]
     home = _relative_link(page_folder.resolve(), results.folder.resolve())
-    jobs = [partial(_render_chapter, chapter, results, folder, home, brief) for chapter in chapters]
-    rendered_chapters: list[RenderedChapter] = []
-    workers = None if parallel.is_sharing() and not brief else 1  # starting processes costs more
-    names = [chapter.title or chapter.key for chapter in chapters]
-    with parallel.results_of(jobs, workers, names=names) as chapter_results:
-        rendered_chapters += filter(None, [_render_chapter(_SUMMARY, results, folder, home, brief)])
-        for _ in report_progress(jobs, partial(progress, "writing the report")):
-            rendered_chapters += filter(None, [next(chapter_results)])
-    zooms = {key: data for rendered in rendered_chapters for key, data in rendered.zooms.items()}
+    chapters = list(chain.from_iterable(chapters_by_section.values()))
+    render_chapter = partial(
+        _render_chapter, results=results, folder=folder, home=home, brief=brief
+    )
+    rendered_chapters = _render_chapters(chapters, render_chapter, brief=brief, progress=progress)
     if not can_zoom() and not brief:
         _log.warning("figures of the report do not zoom: %s.", install_command("report"))
     sections = []
     for (key, title), group in chapters_by_section.items():
         section_chapters = [rendered for rendered in rendered_chapters if rendered.chapter in group]
-        sections.append(_section(key, title, section_chapters, home))
-    rows = [
-        make_row(file, *texts)
-        for rendered in rendered_chapters
-        for file, texts in rendered.tables.items()
-    ]
-    index = ResultTable(caption="", head=("file", "caption", "note"), rows=rows)
-    Tables(folder / TABLES).csv(index, "index")
+        if section_chapters:
+            sections.append(_section(key, title, section_chapters, home))
+    _write_index(folder, rendered_chapters)
+    zooms: dict[str, str] = {}
+    for rendered in rendered_chapters:
+        zooms |= rendered.zooms
     write_sections(
         page,
         title=f"HESR report: {results.run.study}",
         heading=f"Friction of {results.run.robot}: report of the study ‘{results.run.study}’",
         summary=rendered_chapters[0].html,
-        sections=[section for section in sections if section],
+        sections=sections,
         zooms=zooms,
         library=library() if zooms else "",
     )
+
+
+def _render_chapters(
+    chapters: Sequence[Chapter],
+    render_chapter: Callable[[Chapter], RenderedChapter | None],
+    *,
+    brief: bool,
+    progress: Stages,
+) -> list[RenderedChapter]:
+    """Render the summary, then the other chapters, without those that have no data."""
+    workers = 1  # starting processes for one page costs more
+    if parallel.is_sharing() and not brief:
+        workers = None
+    jobs = [partial(render_chapter, chapter) for chapter in chapters]
+    names = [chapter.title or chapter.key for chapter in chapters]
+    with parallel.results_of(jobs, workers, names=names) as chapter_results:
+        # This process draws the summary while others draw the chapters.
+        rendered_chapters = [render_chapter(_SUMMARY)]
+        steps = report_progress(jobs, partial(progress, "writing the report"))
+        rendered_chapters += [next(chapter_results) for _ in steps]
+    return [rendered for rendered in rendered_chapters if rendered is not None]
+
+
+def _write_index(folder: Path, rendered_chapters: Sequence[RenderedChapter]) -> None:
+    """Write the list of all tables with their captions and notes."""
+    rows = []
+    for rendered in rendered_chapters:
+        rows += [make_row(file, *texts) for file, texts in rendered.tables.items()]
+    index = ResultTable(caption="", head=("file", "caption", "note"), rows=rows)
+    Tables(folder / TABLES).csv(index, "index")
 
 
 def _arrange_chapters() -> dict[tuple[str, str], tuple[Chapter, ...]]:
@@ -149,7 +173,8 @@ def _arrange_chapters() -> dict[tuple[str, str], tuple[Chapter, ...]]:
     plugin_sections = []
     for plugin in plugins.load("hesr.chapters").values():
         chapter: Chapter = plugin.load()
-        plugin_sections.append(((chapter.key, chapter.title), (replace(chapter, title=""),)))
+        section_chapters = (replace(chapter, title=""),)
+        plugin_sections.append(((chapter.key, chapter.title), section_chapters))
     return dict([*first_sections, *plugin_sections, last_section])
 
 
@@ -162,8 +187,9 @@ def _relative_link(page_folder: Path, folder: Path) -> str:
 
 
 def _render_chapter(
-    chapter: Chapter, results: Results, folder: Path, home: str, brief: bool
+    chapter: Chapter, *, results: Results, folder: Path, home: str, brief: bool
 ) -> RenderedChapter | None:
+    """Render a chapter and write its figures and tables; None without data."""
     pictures = Pictures(folder / FIGURES, brief)
     tables = Tables(folder / TABLES)
     values = chapter.values(results)
@@ -182,14 +208,11 @@ def _render_chapter(
 
 
 def _section(
-    key: str, title: str, rendered_chapters: list[RenderedChapter], home: str
-) -> Section | None:
-    if not rendered_chapters:
-        return None
-    files = {
-        f"{TABLES}/{file}": text
-        for rendered in rendered_chapters
-        for file, (text, _) in rendered.tables.items()
-    }
+    key: str, title: str, rendered_chapters: Sequence[RenderedChapter], home: str
+) -> Section:
+    files = {}
+    for rendered in rendered_chapters:
+        for file, (caption, _) in rendered.tables.items():
+            files[f"{TABLES}/{file}"] = caption
     html = render("section.html.j2", chapters=rendered_chapters, files=files, home=home)
     return Section(key=key, title=title, html=html, folded=True)

@@ -1,6 +1,6 @@
 """Saved results of a run."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -99,7 +99,9 @@ class Results:
     @property
     def recommended(self) -> tuple[str, ...]:
         """Laws of the verdict by joint, or else the best one."""
-        return self.verdict.laws if self.verdict else (self.best,) * len(self.joints)
+        if self.verdict:
+            return self.verdict.laws
+        return (self.best,) * len(self.joints)
 
     def compare_to_reference(self, j: int) -> tuple[str, str, dict[str, float | None]]:
         """Return recommended law and strongest reference of a joint, and ratios of their errors.
@@ -109,31 +111,41 @@ class Results:
         """
         test = self.tests[0]
         comparison = self.comparisons[test]
-        recommended = self.recommended[j]
-        law_names = recommended, comparison.ratios.find_reference(recommended, j)
-        law_scores = [comparison.laws[law_name] for law_name in law_names]
-        models = [self.models[law_name] for law_name in law_names]
+        law_name = self.recommended[j]
+        reference = comparison.ratios.find_reference(law_name, j)
+        law_error = comparison.laws[law_name].rmse[j]
+        plain_scores = comparison.laws.get(PLAIN)
+        plain_error = plain_scores.rmse[j] if plain_scores else None
+        law_errors = self._find_errors(test, law_name, j)
+        reference_errors = self._find_errors(test, reference, j)
+        ratios = [
+            _divide_errors(law_error, plain_error),
+            *map(_divide_errors, law_errors, reference_errors),
+        ]
+        return law_name, reference, dict(zip(AREAS, ratios, strict=True))
+
+    def _find_errors(self, test: str, law_name: str, j: int) -> list[float | None]:
+        """Return the errors of a law on a joint by `AREAS`, without the first; None if unknown."""
+        scores = self.comparisons[test].laws[law_name]
+        model = self.models[law_name]
         has_days = sum("training" in log.roles for log in self.run.logs) > 1
-        simulated = self.simulated.get(test)
-        plain = comparison.laws.get(PLAIN)
-        errors = (
-            [law_scores[0].rmse[j : j + 1], plain.rmse[j : j + 1] if plain else ()],
-            [scores.rmse[j : j + 1] for scores in law_scores],
-            [scores.rmse_rest[j : j + 1] for scores in law_scores],
-            [scores.rmse_reversal[j : j + 1] for scores in law_scores],
-            [_simulated_errors(simulated, law_name, j) for law_name in law_names],
-            [
-                model.left_out_rmse[j : j + 1] if has_days and not model.coupling else ()
-                for model in models
-            ],
-        )
-        ratios = (o[0] / r[0] if o and r and o[0] and r[0] else None for o, r in errors)
-        return *law_names, dict(zip(AREAS, ratios, strict=True))
+        left_out_error = None
+        if has_days and not model.coupling:
+            left_out_error = _get_known(model.left_out_rmse, j)
+        return [
+            scores.rmse[j],
+            _get_known(scores.rmse_rest, j),  # empty in earlier versions
+            scores.rmse_reversal[j],
+            _simulated_error(self.simulated.get(test), law_name, j),
+            left_out_error,
+        ]
 
     @property
     def fmu(self) -> str:
         """Recommended FMU."""
-        return self.verdict.fmu if self.verdict else f"fmus/{self.best}.fmu"
+        if self.verdict:
+            return self.verdict.fmu
+        return f"fmus/{self.best}.fmu"
 
     @cached_property
     def best(self) -> str:
@@ -184,63 +196,98 @@ class Results:
     def read(cls, folder: Path) -> "Results":
         """Read a folder written by `hesr run`, or raise ArtifactError or LogError."""
         if not (folder / RUN).is_file():
-            reason = f"'{RUN}' is missing in it" if folder.is_dir() else "the folder does not exist"
-            if (folder / COMMAND_RUN).is_file():
-                reason = "its run was from commands, whose report is complete"
-            reason = describe_leftover(folder) or reason
-            raise ArtifactError(f"{folder}: no results of 'hesr run'; {reason}.")
+            raise ArtifactError(f"{folder}: no results of 'hesr run'; {_explain_missing(folder)}.")
         run = SavedRun.read(folder / RUN)
         body = RigidBody.read(folder / "rigid_body.json")
-        properties_path = folder / "properties.json"
-        simulation_path = folder / SIMULATION
         truths_path = folder / TRUTHS
-        truths = read_json(truths_path) if truths_path.is_file() else {}
+        saved_truths = _read_if_present(truths_path)
         following_path = folder / FOLLOWING
-        following = read_json(following_path) if following_path.is_file() else {}
+        saved_following = _read_if_present(following_path)
         scores_path = folder / "evaluation.json"
-        loop_path = folder / "closed_loop.json"
         comparisons = _read_by_test(Comparison, scores_path, "the scores of a run")
         if not comparisons:
             raise ArtifactError(f"{scores_path}: not the scores of a run (it has no test set).")
+        models = {
+            law_name: FrictionModel.read(folder / "laws" / f"{law_name}.json")
+            for law_name in run.inputs
+        }
+        properties: Mapping[str, Properties] = {}
+        properties_path = folder / "properties.json"
+        if properties_path.is_file() and not run.quick:
+            properties = read_properties(properties_path)
+        simulated = {}
+        simulation_path = folder / SIMULATION
+        if simulation_path.is_file():
+            simulated = _read_by_test(PositionErrors, simulation_path, "the simulations of a run")
+        truths = from_json(
+            dict[str, Errors], saved_truths, truths_path, "the errors on alternative plants"
+        )
+        replicates = read_replicates(folder)
+        following = None
+        if saved_following:
+            following = from_json(Following, saved_following, following_path, "following errors")
+        loop = None
+        paths: Mapping[tuple[Scheme, str], Trace] = {}
+        if run.controller:
+            loop_path = folder / "closed_loop.json"
+            loop = from_json(
+                LoopOutcome, read_json(loop_path), loop_path, "the closed loop of a run"
+            )
+            paths = read_traces(folder / PATHS)
         return cls(
             folder=folder,
             run=run,
             body=body,
-            models={
-                law_name: FrictionModel.read(folder / "laws" / f"{law_name}.json")
-                for law_name in run.inputs
-            },
+            models=models,
             comparisons=comparisons,
-            properties=read_properties(properties_path)
-            if properties_path.is_file() and not run.quick
-            else {},
-            simulated=_read_by_test(PositionErrors, simulation_path, "the simulations of a run")
-            if simulation_path.is_file()
-            else {},
-            truths=from_json(
-                dict[str, Errors], truths, truths_path, "the errors on alternative plants"
-            ),
-            replicates=read_replicates(folder),
-            following=from_json(Following, following, following_path, "following errors")
-            if following
-            else None,
+            properties=properties,
+            simulated=simulated,
+            truths=truths,
+            replicates=replicates,
+            following=following,
             provenance=body.provenance,
-            loop=from_json(LoopOutcome, read_json(loop_path), loop_path, "the closed loop of a run")
-            if run.controller
-            else None,
-            paths=read_traces(folder / PATHS) if run.controller else {},
+            loop=loop,
+            paths=paths,
         )
 
 
-def _simulated_errors(
-    position_errors: PositionErrors | None, law_name: str, j: int
-) -> tuple[float | None, ...]:
+def _explain_missing(folder: Path) -> str:
+    """Return why a folder has no results."""
+    leftover = describe_leftover(folder)
+    if leftover:
+        return leftover
+    if (folder / COMMAND_RUN).is_file():
+        return "its run was from commands, whose report is complete"
+    if folder.is_dir():
+        return f"'{RUN}' is missing in it"
+    return "the folder does not exist"
+
+
+def _read_if_present(path: Path) -> Any:
+    """Read a JSON file; an empty object if there is none."""
+    return read_json(path) if path.is_file() else {}
+
+
+def _divide_errors(error: float | None, reference_error: float | None) -> float | None:
+    """Return the ratio of two errors; None if one is unknown, diverged or zero."""
+    if not error or not reference_error:
+        return None
+    return error / reference_error
+
+
+def _get_known(errors: Sequence[float | None], j: int) -> float | None:
+    """Return the error of a joint; None if no joint has one."""
+    return errors[j] if errors else None
+
+
+def _simulated_error(position_errors: PositionErrors | None, law_name: str, j: int) -> float | None:
     """Return the position error [rad; m] of whole logs, or else of the longest windows."""
     if position_errors is None or law_name not in position_errors.windows:
-        return ()
-    return (position_errors.open_loop.get(law_name) or position_errors.windows[law_name][-1])[
-        j : j + 1
-    ]
+        return None
+    log_errors = position_errors.open_loop.get(law_name)
+    if log_errors:
+        return log_errors[j]
+    return position_errors.windows[law_name][-1][j]
 
 
 def _read_by_test(kind: Any, path: Path, description: str) -> dict[str, Any]:

@@ -9,7 +9,13 @@ from cosim.report.figures.chart import Chart, Line, Panel
 from cosim.report.figures.style import MEASURED, strokes
 from cosim.report.figures.zoom import can_zoom
 from cosim.report.results import Results
-from cosim.report.tables.table import ResultTable, format_significant, make_row, number
+from cosim.report.tables.table import (
+    ResultTable,
+    TableRow,
+    format_significant,
+    make_row,
+    number,
+)
 from cosim.study.results import HEALTH, SavedLog, read_findings
 from cosim.study.study import LEFT_OUT
 from cosim.study.verdict import VERDICT
@@ -34,16 +40,9 @@ def data(results: Results) -> dict[str, Any]:
     """Return robot, logs and findings."""
     run = results.run
     findings = sorted(read_findings(results.folder), key=lambda finding: not finding.logs)
-    rows = [
-        make_row(
-            log.name,
-            ", ".join(_ROLES.get(role, f"test ‘{role}’") for role in log.roles) or "–",
-            number(log.rows, max(3, len(str(log.rows)))),
-            number(log.duration, 4),
-            number(log.rate, 4),
-        )
-        for log in run.logs
-    ]
+    scope = "laws were judged on rows that they were not fitted to"
+    if results.has_tests:
+        scope = "no log of a test set was used for training"
     return {
         "run": run,
         "joints": ", ".join(f"{short} {name}" for _, short, name in results.numbered),
@@ -52,28 +51,36 @@ def data(results: Results) -> dict[str, Any]:
         "findings": findings,
         "of_logs": sum(bool(finding.logs) for finding in findings),
         "logs": ResultTable(
-            caption="Logs and their uses; "
-            + (
-                "no log of a test set was used for training"
-                if results.has_tests
-                else "laws were judged on rows that they were not fitted to"
-            ),
+            caption=f"Logs and their uses; {scope}",
             words=(1,),
             head=("log", "use", "rows", "duration [s]", "rate [Hz]"),
-            rows=rows,
+            rows=list(map(_make_log_row, run.logs)),
         ),
     }
+
+
+def _make_log_row(log: SavedLog) -> TableRow:
+    roles = [_ROLES.get(role, f"test ‘{role}’") for role in log.roles]
+    return make_row(
+        log.name,
+        ", ".join(roles) or "–",
+        number(log.rows, max(3, len(str(log.rows)))),
+        number(log.duration, 4),
+        number(log.rate, 4),
+    )
 
 
 def body(results: Results) -> dict[str, Any]:
     """Return the identified parameters and their torque."""
     body = results.body
     log = results.find_log("identification")
-    weighted = ", weighted by the residual of each joint" if body.weighting == "wls" else ""
+    method = _METHODS[body.method]
+    if body.weighting == "wls":
+        method += ", weighted by the residual of each joint"
     return {
         "body": body,
         "rotors": sum(name.endswith(".Ir") for name in body.names),
-        "method": _METHODS[body.method] + weighted,
+        "method": method,
         "condition": format_significant(body.condition),
         "errors": ", ".join(map(format_significant, body.rmse)),
         "log": log,
@@ -86,39 +93,40 @@ def _torques(results: Results, log: SavedLog) -> Chart:
     torques = results.torques(log)
     t = torques["t"]
     blue = strokes(["rigid body"])["rigid body"]
-    panels = [
-        Panel(
-            title=f"{short}: {name}",
-            y=f"torque [{results.unit('N.m', k - 1)}]",
-            lines=(
-                Line(name="measured", x=t, y=torques[f"tau{k}"], stroke=MEASURED),
-                Line(name="rigid body", x=t, y=torques[f"tau_rb{k}"], stroke=blue),
-            ),
+    rows = []
+    for k, short, name in results.numbered:
+        lines = (
+            Line(name="measured", x=t, y=torques[f"tau{k}"], stroke=MEASURED),
+            Line(name="rigid body", x=t, y=torques[f"tau_rb{k}"], stroke=blue),
         )
-        for k, short, name in results.numbered
-    ]
-    return Chart(x="t [s]", rows=tuple((panel,) for panel in panels), height=1.35)
+        y = f"torque [{results.unit('N.m', k - 1)}]"
+        rows.append((Panel(title=f"{short}: {name}", y=y, lines=lines),))
+    return Chart(x="t [s]", rows=tuple(rows), height=1.35)
 
 
 def parameters(body: RigidBody) -> ResultTable:
     """Return the table of identified parameters."""
-    sprung = any(name.endswith(".const") for name in body.names)
-    springs = "; springs: k [N.m/rad], others [N.m]" if sprung else ""
-    gears = "; elastic gears: friction of motor and link, SI units" if body.gears else ""
-    gear_rows = [
-        (f"{g.joint}.{n}", *estimate) for g in body.gears for n, estimate in g.parameters.items()
-    ]
-    base_errors = zip(body.base, body.standard_errors, strict=True)
-    rows = [*((body.names[k], body.parameters[k], error) for k, error in base_errors), *gear_rows]
+    units = "m [kg], mx.. [kg.m], Ixx.. and rotor Ir [kg.m²]"
+    if any(name.endswith(".const") for name in body.names):
+        units += "; springs: k [N.m/rad], others [N.m]"
+    if body.gears:
+        units += "; elastic gears: friction of motor and link, SI units"
+    rows = []
+    for k, error in zip(body.base, body.standard_errors, strict=True):
+        rows.append(_make_parameter_row(body.names[k], body.parameters[k], error))
+    for gear in body.gears:
+        for name, (value, error) in gear.parameters.items():
+            rows.append(_make_parameter_row(f"{gear.joint}.{name}", value, error))
     return ResultTable(
-        caption="Base parameters: m [kg], mx.. [kg.m], Ixx.. and rotor Ir [kg.m²]"
-        f"{springs}{gears}; each includes the parameters that depend on it",
+        caption=f"Base parameters: {units}; each includes the parameters that depend on it",
         head=("parameter", "value", "± 95 %"),
-        rows=[
-            make_row(name, number(value, 4), number(_INTERVAL * error, 2))
-            for name, value, error in rows
-        ],
+        rows=rows,
     )
+
+
+def _make_parameter_row(name: str, value: float, error: float) -> TableRow:
+    """Return the row of a parameter with its standard error."""
+    return make_row(name, number(value, 4), number(_INTERVAL * error, 2))
 
 
 def provenance(results: Results) -> dict[str, Any]:
@@ -130,6 +138,7 @@ def provenance(results: Results) -> dict[str, Any]:
         if file["sha256"] not in logs:
             files[file["name"], file["sha256"]] = None
     fmus = dict.fromkeys((results.fmu, *(f"fmus/{law_name}.fmu" for law_name in results.models)))
+    hash_rows = [make_row(name, Markup("<code>{}</code>").format(digest)) for name, digest in files]
     return {
         "run": run,
         "versions": ", ".join(f"{name} {number}" for name, number in run.versions.items()),
@@ -139,9 +148,7 @@ def provenance(results: Results) -> dict[str, Any]:
         "hashes": ResultTable(
             caption="SHA-256 of the input files",
             head=("file", "SHA-256"),
-            rows=[
-                make_row(name, Markup("<code>{}</code>").format(digest)) for name, digest in files
-            ],
+            rows=hash_rows,
             numeric=False,
         ),
     }

@@ -1,7 +1,6 @@
 """Torque on unseen motions (Table II, Fig. 4 and 5), friction loops, and the closed loop."""
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -37,38 +36,46 @@ _EDGE = Stroke(colour=SOFT, width=0.6, dash=(1.5, 1.5))
 def errors_of_tests(results: Results) -> dict[str, Any]:
     """Compare all laws on every test set."""
     run = results.run
-    truths = results.truths
     test = results.tests[0]
     law_ratios = results.comparisons[test].ratios
     reference = "its reference" if law_ratios.fair else title(law_ratios.reference)
-    laws = {title(law_name): row for law_name, row in law_ratios.laws.items()}
-    return {
+    ratios_by_title = {title(law_name): row for law_name, row in law_ratios.laws.items()}
+    values = {
         "test": test,
         "has_tests": results.has_tests,
         "reference": reference,
-        "ratios": ratios(laws, results.joints, x=f"RMSE / RMSE of {reference}") if laws else None,
+        "ratios": None,
         "moving": f"{MOVING:g}",
         "window": f"{WINDOW:g}",
         "tests": [_test(results, test) for test in results.tests],
         "training": _replicates(results, TRAINING),
         "left_out": tables.cross_validation(results.models, results.sliding),
-        "truths": truths and tables.compare_truths(results.comparisons, truths, run.truth),
+        "truths": None,
         "family": tables.describe_true_friction(run.truth),
-        "paper": loop_tables.table_ii(results.joints) if run.robot == loop_tables.ROBOT else None,
+        "paper": None,
     }
+    if ratios_by_title:
+        x = f"RMSE / RMSE of {reference}"
+        values["ratios"] = ratios(ratios_by_title, results.joints, x=x)
+    if results.truths:
+        table = tables.compare_truths(results.comparisons, results.truths, run.truth)
+        values["truths"] = table
+    if run.robot == loop_tables.ROBOT:
+        values["paper"] = loop_tables.table_ii(results.joints)
+    return values
 
 
 def _test(results: Results, test: str) -> dict[str, Any]:
+    """Return the values of one test set."""
     comparison = results.comparisons[test]
     log = results.find_log(test)
     simulated = results.simulated.get(test)
-    is_split = test != results.tests[0] and test in {band.test for band in results.run.bands}
     table, *parts = (_errors(results, test, measure) for measure in tables.MEASURES)
     laws = _key_laws(results)
-    verdict = results.verdict
-    recommended_laws = verdict.laws if verdict and verdict.test == test else ()
-    window = (0.0, WINDOW) if log and log.duration > 1.5 * WINDOW else None
-    return {
+    window = None
+    if log and log.duration > 1.5 * WINDOW:
+        window = (0.0, WINDOW)
+    values = {
         "name": test,
         "errors": table,
         "parts": parts,
@@ -76,15 +83,26 @@ def _test(results: Results, test: str) -> dict[str, Any]:
         "log": log,
         "laws": ", ".join(map(title, laws)),
         "window": window,
-        "traces": _chart(results, log, laws, window=window) if log and not is_split else None,
-        "simulated": simulated
-        and tables.position_errors(test, simulated, comparison, results.sliding),
-        "bands": tables.bands(test, comparison) if comparison.bands else None,
-        # Left-out rows are not a test; the table of recommended laws has their intervals.
-        "separations": tables.separations(test, comparison, recommended_laws)
-        if results.has_tests
-        else None,
+        "traces": None,
+        "simulated": None,
+        "bands": None,
+        "separations": None,
     }
+    # The chapter on chirps draws the logs with bands.
+    is_split = test != results.tests[0] and test in {band.test for band in results.run.bands}
+    if log and not is_split:
+        values["traces"] = _chart(results, log, laws, window=window)
+    if simulated:
+        table = tables.position_errors(test, simulated, comparison, results.sliding)
+        values["simulated"] = table
+    if comparison.bands:
+        values["bands"] = tables.bands(test, comparison)
+    # Left-out rows are not a test; the table of recommended laws has their intervals.
+    if results.has_tests:
+        verdict = results.verdict
+        recommended_laws = verdict.laws if verdict and verdict.test == test else ()
+        values["separations"] = tables.separations(test, comparison, recommended_laws)
+    return values
 
 
 def _replicates(results: Results, name: str) -> dict[str, Any]:
@@ -109,15 +127,21 @@ def _errors(results: Results, name: str, measure: str = "rmse") -> ResultTable:
 
 
 def _key_laws(results: Results) -> list[str]:
+    """Return the laws of the figures of errors; a law alone compares with nothing."""
     laws = results.find_fitted(BASELINE, papers_law(), results.best)
-    return laws if len(laws) > 1 else results.key_laws[:3]
+    if len(laws) > 1:
+        return laws
+    return results.key_laws[:3]
 
 
 def chirp(results: Results) -> dict[str, Any] | None:
     """Compare the laws on both sides of a chirp's middle frequency."""
     bands = results.run.bands
+    if not bands:
+        return None
     laws = results.find_fitted(_NETWORK, papers_law(), results.best)
-    laws = laws if len(laws) > 1 else _key_laws(results)
+    if len(laws) < 2:
+        laws = _key_laws(results)
     tests = []
     for test in dict.fromkeys(band.test for band in bands):
         log = results.find_log(test)
@@ -132,8 +156,7 @@ def chirp(results: Results) -> dict[str, Any] | None:
                 "errors": [_errors(results, band.name) for band in parts],
             }
         )
-    law_titles = ", ".join(map(title, laws))
-    return {"tests": tests, "laws": law_titles, "moving": f"{MOVING:g}"} if tests else None
+    return {"tests": tests, "laws": ", ".join(map(title, laws)), "moving": f"{MOVING:g}"}
 
 
 def _chart(
@@ -153,20 +176,20 @@ def _chart(
         measured = torques[f"tau{k}"] - torques[f"tau_rb{k}"]
         predicted = {law_name: torques[f"{law_name}.tau_f{k}"] for law_name in laws}
         errors = {law_name: moving_rms(t, tau - measured) for law_name, tau in predicted.items()}
+        friction_lines: list[Line] = []
+        if results.best in laws:
+            friction_lines += band(results, results.best, k, torques)
+        friction_lines.append(Line(name="measured", x=t, y=measured, stroke=MEASURED))
+        friction_lines += _lines(t, predicted, styles)
+        friction = Panel(
+            title=f"{short}: {name}",
+            y=f"friction [{unit}]",
+            lines=tuple(friction_lines),
+            marks=marks,
+        )
         error_lines = _lines(t, errors, styles)
-        friction_lines = (
-            *(band(results, results.best, k, torques) if results.best in laws else ()),
-            Line(name="measured", x=t, y=measured, stroke=MEASURED),
-            *_lines(t, predicted, styles),
-        )
-        heading = f"{short}: {name}"
-        y = f"friction [{unit}]"
-        rows.append(
-            (
-                Panel(title=heading, y=y, lines=friction_lines, marks=marks),
-                Panel(title="", y=f"RMS error [{unit}]", lines=error_lines, marks=marks),
-            )
-        )
+        error = Panel(title="", y=f"RMS error [{unit}]", lines=error_lines, marks=marks)
+        rows.append((friction, error))
     return Chart(x="t [s]", rows=tuple(rows), height=1.5, window=window)
 
 
@@ -179,9 +202,12 @@ def _lines(t: Array, laws: Mapping[str, Array], styles: Mapping[str, Stroke]) ->
 
 def moving_rms(t: Array, error: Array) -> Array:
     """Return the RMS error (N,) within a window of `MOVING` around each time."""
+    # Differences of one running sum give the sums of all windows.
     total = np.concatenate([[0.0], np.cumsum(error**2)])
-    first, last = (np.searchsorted(t, t + sign * 0.5 * MOVING) for sign in (-1.0, 1.0))
-    return np.asarray(np.sqrt((total[last] - total[first]) / np.maximum(last - first, 1)))
+    first = np.searchsorted(t, t - 0.5 * MOVING)
+    last = np.searchsorted(t, t + 0.5 * MOVING)
+    row_counts = np.maximum(last - first, 1)  # a gap of the log leaves an empty window
+    return np.asarray(np.sqrt((total[last] - total[first]) / row_counts))
 
 
 def band(
@@ -191,17 +217,19 @@ def band(
     model = results.models.get(law_name)
     if model is None or not model.banded:
         return ()
+
+    def stack_joints(column: str) -> Array:
+        return np.column_stack([torques[f"{column}{k}"] for k, *_ in results.numbered])
+
     load = "tau_load" if "tau_load1" in torques else "tau_rb"
-    names = {"dq": "dq", "q": "q", "tau_load": load, "torque": f"{law_name}.tau_f"}
-    joints = range(1, len(results.joints) + 1)
     ends = compute_band(
         model,
         t=torques["t"],
+        dq=stack_joints("dq"),
+        q=stack_joints("q"),
+        tau_load=stack_joints(load),
+        torque=stack_joints(f"{law_name}.tau_f"),
         coverage=LEVEL,
-        **{
-            name: np.column_stack([torques[f"{column}{k}"] for k in joints])
-            for name, column in names.items()
-        },
     )
     name = f"95 % band of {title(law_name)}"
     k = number - 1
@@ -216,37 +244,53 @@ def loops(results: Results) -> dict[str, Any] | None:
         return None
     torques = results.torques(log)
     is_shown = torques["t"] - torques["t"][0] <= _LOOPS
+    shown_torques = {column: values[is_shown] for column, values in torques.items()}
     points = min(_POINTS, 3 * _POINTS // len(results.joints))
+    key_laws = [law_name for law_name in results.key_laws if law_name in results.laws]
     figures = []
     for k, short, name in results.numbered:
-        dq = torques[f"dq{k}"][is_shown]
-        measured = (torques[f"tau{k}"] - torques[f"tau_rb{k}"])[is_shown]
-        laws = {
-            law_name: (dq, torques[f"{law_name}.tau_f{k}"][is_shown])
-            for law_name in (*results.laws, ORACLE)
-            if f"{law_name}.tau_f{k}" in torques
-        }
-        key_laws = {
-            law_name: laws[law_name] for law_name in (*results.key_laws, ORACLE) if law_name in laws
-        }
-        page_figure, file_figure = (
-            loop_panels(
-                (dq, measured),
-                {title(law_name): line for law_name, line in chosen_laws.items()},
-                x=f"dq of {short} [{results.unit('rad/s', k - 1)}]",
-                y=f"friction [{results.unit('N.m', k - 1)}]",
-                points=max_points,
-            )
-            for chosen_laws, max_points in ((key_laws, points), (laws, None))
-        )
         figures.append(
-            {"joint": name, "heading": f"{short}: {name}", "few": page_figure, "whole": file_figure}
+            {
+                "joint": name,
+                "heading": f"{short}: {name}",
+                "few": _draw_loops(results, shown_torques, k, key_laws, points),
+                "whole": _draw_loops(results, shown_torques, k, results.laws, None),
+            }
         )
     return {"test": test, "log": log, "span": f"{_LOOPS:g}", "figures": figures}
 
 
+def _draw_loops(
+    results: Results,
+    torques: Mapping[str, Array],
+    number: int,
+    laws: Sequence[str],
+    points: int | None,
+) -> Any:
+    """Draw the friction of one joint over its velocity: measured, by laws, and the true one.
+
+    The figure, of Matplotlib, has at most `points` points of a law; None is all.
+    """
+    dq = torques[f"dq{number}"]
+    measured = torques[f"tau{number}"] - torques[f"tau_rb{number}"]
+    loops_by_title = {}
+    for law_name in (*laws, ORACLE):
+        column = f"{law_name}.tau_f{number}"
+        if column in torques:
+            loops_by_title[title(law_name)] = (dq, torques[column])
+    j = number - 1
+    return loop_panels(
+        (dq, measured),
+        loops_by_title,
+        x=f"dq of {results.joints[j]} [{results.unit('rad/s', j)}]",
+        y=f"friction [{results.unit('N.m', j)}]",
+        points=points,
+    )
+
+
 _TORQUE_ERROR_SCHEME = Scheme(compensation="torque_error")
 _INVERSION_SCHEME = Scheme(compensation="servo_inversion")
+_DRAWN_SCHEMES = (_TORQUE_ERROR_SCHEME, _INVERSION_SCHEME)
 _CAPTION = "Tracking: RMSE [mrad], mean over the motions"
 
 
@@ -254,10 +298,8 @@ def tracking(results: Results) -> dict[str, Any] | None:
     """Compare tracking errors under every law and scheme."""
     if results.loop is None:
         return None
-    desired_rows, measured_rows = (
-        [row for row in results.loop.tracking if (row.scheme.source == "desired") == is_desired]
-        for is_desired in (True, False)
-    )
+    desired_rows = [row for row in results.loop.tracking if row.scheme.source == "desired"]
+    measured_rows = [row for row in results.loop.tracking if row.scheme.source != "desired"]
     rows_without_kx = [row for row in desired_rows if not row.scheme.Kx]
     further_tables = {}
     if measured_rows:
@@ -278,50 +320,48 @@ def tracking(results: Results) -> dict[str, Any] | None:
         "inverse": loop_tables.tracking(
             f"{_CAPTION}, servo inversion", _select_rows(_INVERSION_SCHEME, desired_rows)
         ),
-        "figures": {
-            scheme.name: _figure(results, scheme)
-            for scheme in (_TORQUE_ERROR_SCHEME, _INVERSION_SCHEME)
-        },
-        "titles": {
-            scheme.name: scheme.title for scheme in (_TORQUE_ERROR_SCHEME, _INVERSION_SCHEME)
-        },
+        "figures": {scheme.name: _figure(results, scheme) for scheme in _DRAWN_SCHEMES},
+        "titles": {scheme.name: scheme.title for scheme in _DRAWN_SCHEMES},
         "more": further_tables,
     }
 
 
 def _select_rows(scheme: Scheme, rows: Sequence[Tracked]) -> list[Tracked]:
-    kinds = (scheme.compensation, "none")
-    return [row for kind in kinds for row in rows if row.scheme.compensation == kind]
+    """Return the rows of a scheme, then those without compensation."""
+    compensated_rows = [row for row in rows if row.scheme.compensation == scheme.compensation]
+    plain_rows = [row for row in rows if row.scheme.compensation == "none"]
+    return compensated_rows + plain_rows
 
 
 def _figure(results: Results, scheme: Scheme) -> Chart | None:
+    """Draw positions and their errors with a scheme, by joint; None if no path is saved."""
     laws = [
         law_name for law_name in results.key_laws if results.models[law_name].laws[0].form.memory
     ]
-    keys = [(scheme, law_name) for law_name in (StandIn.BODY_ONLY, *laws)]
-    paths = {key[1]: results.paths[key] for key in keys if key in results.paths}
+    paths = {
+        law_name: results.paths[scheme, law_name]
+        for law_name in (StandIn.BODY_ONLY, *laws)
+        if (scheme, law_name) in results.paths
+    }
     if not paths:
         return None
     styles = {StandIn.BODY_ONLY: Stroke(colour=SOFT), **strokes(results.key_laws)}
     first_path = next(iter(paths.values()))
-    complete_paths = {
-        law_name: path for law_name, path in paths.items() if len(path.t) == len(first_path.t)
-    }
-    make_lines = partial(_lines, first_path.t, styles=styles)
+    t = first_path.t
+    # Paths of runs that stopped early have other times.
+    complete_paths = {law_name: path for law_name, path in paths.items() if len(path.t) == len(t)}
     rows = []
     for k, short in enumerate(results.joints):
-        desired_line = Line(name="desired", x=first_path.t, y=first_path.q_d[:, k], stroke=DESIRED)
-        position = {law_name: path.q[:, k] for law_name, path in complete_paths.items()}
-        error = {
+        positions = {law_name: path.q[:, k] for law_name, path in complete_paths.items()}
+        errors = {
             law_name: 1e3 * np.abs(path.q - path.q_d)[:, k]
             for law_name, path in complete_paths.items()
         }
-        rows.append(
-            (
-                Panel(title=short, y="q [rad]", lines=(*make_lines(position), desired_line)),
-                Panel(title="", y="|error| [mrad]", lines=make_lines(error)),
-            )
-        )
+        desired_line = Line(name="desired", x=t, y=first_path.q_d[:, k], stroke=DESIRED)
+        position_lines = (*_lines(t, positions, styles), desired_line)
+        position = Panel(title=short, y="q [rad]", lines=position_lines)
+        error = Panel(title="", y="|error| [mrad]", lines=_lines(t, errors, styles))
+        rows.append((position, error))
     return Chart(x="t [s]", rows=tuple(rows), height=1.4)
 
 
