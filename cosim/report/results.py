@@ -14,7 +14,7 @@ from cosim.report.tables.table import joints
 from cosim.study.position_errors import SIMULATION, PositionErrors
 from cosim.study.replicates import Replicates, read_replicates
 from cosim.study.results import COMMAND_RUN, RUN, TRACES, TRUTHS, SavedLog, SavedRun, read_torques
-from cosim.study.scores import MEASURED_START, ORACLE, Comparison, Errors
+from cosim.study.scores import Comparison, Errors, is_usable
 from cosim.study.study import LEFT_OUT
 from cosim.study.verdict import Verdict, read_verdict
 from fmu_src.pages.datasheet import ModelAudit
@@ -151,12 +151,7 @@ class Results:
     def best(self) -> str:
         """Law with the lowest error over the size of friction, on the first test set."""
         comparison = self.comparisons[self.tests[0]]
-        laws = (
-            law_name
-            for law_name in comparison.laws
-            if law_name != ORACLE and not law_name.endswith(MEASURED_START)
-        )
-        return min(laws, key=comparison.size)
+        return min(filter(is_usable, comparison.laws), key=comparison.size)
 
     @cached_property
     def key_laws(self) -> list[str]:

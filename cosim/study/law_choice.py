@@ -24,6 +24,7 @@ from hesr_model.rigid_body.choice import identify_without
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import motion_records
 from hesr_model.robots.robot import Robot
+from hesr_model.support.arrays import Array
 from hesr_model.support.progress import Stages, silent
 
 
@@ -64,14 +65,16 @@ def fit_chosen_laws(
     laws : names of the laws; by default the proposed ones.
     """
     folds = split_into_folds(motions)
-    bodies = [identify_without(fold, robot, body) if identifies_body else body for fold in folds]
-    judged_laws = [
-        law_name
-        for law_name in laws or select_laws("proposed")
-        if all(getattr(robot.description, need) is not None for need in estimator(law_name).needs)
-    ]
+    bodies = [body] * len(folds)
+    if identifies_body:
+        bodies = [identify_without(fold, robot, body) for fold in folds]
+
+    def can_fit(law_name: str) -> bool:
+        needs = estimator(law_name).needs
+        return all(getattr(robot.description, need) is not None for need in needs)
+
     errors = judge_laws(
-        judged_laws,
+        list(filter(can_fit, laws or select_laws("proposed"))),
         motions,
         robot,
         folds,
@@ -92,7 +95,9 @@ def fit_chosen_laws(
     )
     choice = choose_from_models(models, errors)
     chosen = [add_left_out_errors(models[law_name], errors) for law_name in choice.laws]
-    model = chosen[0] if len(set(choice.laws)) == 1 else mix_models(chosen)
+    model = chosen[0]
+    if len(set(choice.laws)) > 1:
+        model = mix_models(chosen)
     source = {**model.provenance, CHOOSE: list(describe_choice(choice))}
     return replace(model, provenance=source), choice
 
@@ -101,21 +106,28 @@ def add_left_out_errors(model: FrictionModel, errors: LeftOutErrors) -> Friction
     """Return a model with its errors on left-out rows, if all joints have them, and their bands."""
     if model.law not in errors.laws:
         return replace(model, left_out_rmse=())
-    rmse = tuple(errors.rmse(model.law, j) for j in range(len(model.joints)))
     laws = tuple(_recalibrate_law(law, model.law, errors, j) for j, law in enumerate(model.laws))
-    return replace(model, laws=laws, left_out_rmse=rmse if np.all(np.isfinite(rmse)) else ())
+    rmse = tuple(errors.rmse(model.law, j) for j in range(len(model.joints)))
+    if not np.all(np.isfinite(rmse)):
+        rmse = ()
+    return replace(model, laws=laws, left_out_rmse=rmse)
 
 
 def _recalibrate_law(law: FrictionLaw, law_name: str, errors: LeftOutErrors, j: int) -> FrictionLaw:
     """Return a joint's law with the band of its errors on left-out rows."""
     if law.band is None or not errors.fold_counts(j):
         return law
-    signals = (errors.dq, errors.tau_load, errors.errors[law_name])
-    rows = errors.judged_rows(j)
-    dq, tau_load, torque_error = (
-        np.concatenate([log_signal[mask, j] for log_signal, mask in zip(signal, rows, strict=True)])
-        for signal in signals
+    judged_rows = errors.judged_rows(j)
+
+    def select_rows(signals: Sequence[Array]) -> Array:
+        pairs = zip(signals, judged_rows, strict=True)
+        return np.concatenate([log_signals[is_judged, j] for log_signals, is_judged in pairs])
+
+    band = recalibrate_band(
+        law.band,
+        select_rows(errors.dq),
+        select_rows(errors.tau_load),
+        select_rows(errors.errors[law_name]),
+        rest_speed=find_rest_speed(law.form.steady_speed),
     )
-    rest_speed = find_rest_speed(law.form.steady_speed)
-    band = recalibrate_band(law.band, dq, tau_load, torque_error, rest_speed=rest_speed)
     return replace(law, band=band)

@@ -1,6 +1,7 @@
 """Proposed study of inspected logs."""
 
 import json
+import re
 from collections.abc import Sequence
 from os.path import relpath
 from pathlib import Path
@@ -10,6 +11,7 @@ from cosim.study.steps import Job
 from cosim.study.study import Study
 from hesr_model.fitting.estimator import registry, select_laws
 from hesr_model.fitting.fit import fit_joint
+from hesr_model.friction.inputs import TAU_LOAD
 from hesr_model.health.examine import bears_load, check_logs
 from hesr_model.health.proposal import Proposal, robot_file
 from hesr_model.logs.robot_log import collect_parts
@@ -25,16 +27,15 @@ def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
     folder = path.resolve().parent
     log_paths = [log.path.resolve() for log in proposal.logs if log.path]
     files = [Path(relpath(log_path, folder)).as_posix() for log_path in log_paths]
-    has_torque = all(log.has_torque for log in proposal.logs)
-    refinement_hint = [
-        '# refinement = "output_error"  # also refine the laws for simulation; it takes longer'
-    ]
-    refinement_hint *= (
-        len(proposal.description.joints) == 1
-        and has_torque
-        and not proposal.description.log.cylinder
-    )
-    proposed_laws = propose_laws(proposal) if has_torque else list(select_laws("from_commands"))
+    proposed_laws = list(select_laws("from_commands"))
+    refinement_hint = []
+    if all(log.has_torque for log in proposal.logs):
+        proposed_laws = propose_laws(proposal)
+        if len(proposal.description.joints) == 1 and not proposal.description.log.cylinder:
+            refinement_hint.append(
+                '# refinement = "output_error"  # also refine the laws for simulation; it takes '
+                "longer"
+            )
     lines = [
         "# Proposed by 'hesr inspect'; 'hesr run' runs it. Paths are relative to this file.",
         "",
@@ -72,16 +73,15 @@ def _write_relaxed_laws(laws: Sequence[str]) -> list[str]:
 
 def propose_laws(proposal: Proposal) -> list[str]:
     """Return the proposed laws whose inputs the logs show: load needs a change of load."""
-    has_load = bool(proposal.description.log.cylinder) or any(
-        map(bears_load, proposal.examination.fits)
-    )
-    candidates = {name: registry()[name] for name in select_laws("proposed")}
-    return [
-        name
-        for name, law in candidates.items()
-        if all(getattr(proposal.description, need) is not None for need in law.needs)
-        and (has_load or all(s.name != "tau_load" for s in law.form(law.typical).inputs))
-    ]
+    description = proposal.description
+    has_load = bool(description.log.cylinder) or any(map(bears_load, proposal.examination.fits))
+    laws = []
+    for name in select_laws("proposed"):
+        law = registry()[name]
+        is_possible = all(getattr(description, need) is not None for need in law.needs)
+        if is_possible and (has_load or TAU_LOAD not in law.form(law.typical).inputs):
+            laws.append(name)
+    return laws
 
 
 def dry_run(proposal: Proposal) -> None:
@@ -111,6 +111,8 @@ def dry_run(proposal: Proposal) -> None:
 
 
 def _name(path: Path) -> str:
-    stem = path.resolve().parent.name if path.stem == "study" else path.stem
-    safe_name = "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in stem)
+    stem = path.stem
+    if stem == "study":
+        stem = path.resolve().parent.name
+    safe_name = re.sub(r"[^A-Za-z0-9_-]", "_", stem)
     return safe_name.lstrip("_-") or "study"

@@ -21,6 +21,7 @@ from hesr_model.inference.replicates import (
     high_pass_errors,
     split_errors,
 )
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.support.arrays import Array
 from hesr_model.support.typed_files import from_json, read_json, to_json, write_json
 
@@ -77,10 +78,10 @@ def write_replicates(
             for law_name, model in models.items():
                 torques[law_name] = predict_model(model, training_records)
         replicates[TRAINING] = _split(training_records, torques, repetitions)
-    write_json(
-        folder / REPLICATES,
-        {name: None if saved is None else to_json(saved) for name, saved in replicates.items()},
-    )
+    saved_replicates = {}
+    for name, test_replicates in replicates.items():
+        saved_replicates[name] = to_json(test_replicates) if test_replicates else None
+    write_json(folder / REPLICATES, saved_replicates)
     return replicates
 
 
@@ -91,10 +92,10 @@ def read_replicates(folder: Path) -> dict[str, Replicates | None]:
         return {}
     replicates: dict[str, Replicates | None] = {}
     for name, saved in read_json(path).items():
-        description = f"the replicates in {name!r}"
-        replicates[name] = (
-            None if saved is None else from_json(Replicates, saved, path, description)
-        )
+        replicates[name] = None
+        if saved is not None:
+            description = f"the replicates in {name!r}"
+            replicates[name] = from_json(Replicates, saved, path, description)
     return replicates
 
 
@@ -105,19 +106,21 @@ def split_by_replicates(records: Records, torques: Torques) -> Replicates | None
 
 def _collect_trajectories(records: Records) -> list[RobotMotion]:
     """Return the motion of all joints, by log."""
-    return [
-        RobotMotion(
-            t=log_records[0].t,
-            q=np.column_stack([record.q for record in log_records]),
-            dq=np.column_stack([record.dq for record in log_records]),
-        )
-        for log_records in zip(*records, strict=True)
-    ]
+    return [_stack_joints(log_records) for log_records in zip(*records, strict=True)]
+
+
+def _stack_joints(log_records: Sequence[FrictionRecord]) -> RobotMotion:
+    return RobotMotion(
+        t=log_records[0].t,
+        q=np.column_stack([record.q for record in log_records]),
+        dq=np.column_stack([record.dq for record in log_records]),
+    )
 
 
 def _split(
     records: Records, torques: Torques, repetitions: Sequence[Repetition]
 ) -> Replicates | None:
+    """Split the errors of the laws that did not diverge; None without such laws or repetitions."""
     law_names = [law_name for law_name in torques if _is_bounded(records, torques[law_name])]
     if not repetitions or not law_names:
         return None
@@ -125,10 +128,8 @@ def _split(
     splits_by_joint = []
     fast_splits_by_joint = []
     for j, joint_records in enumerate(records):
-        errors = []
-        for k, record in enumerate(joint_records):
-            columns = [record.tau - torques[law_name][j][k] for law_name in law_names]
-            errors.append(np.column_stack(columns))
+        joint_torques = [torques[law_name][j] for law_name in law_names]
+        errors = _stack_errors(joint_records, joint_torques)
         splits_by_joint.append(split_errors(times, errors, repetitions))
         fast_errors = [high_pass_errors(*pair) for pair in zip(times, errors, strict=True)]
         known_errors = [error for error in fast_errors if error is not None]
@@ -147,13 +148,25 @@ def _split(
     )
 
 
+def _stack_errors(
+    joint_records: Sequence[FrictionRecord], torques: Sequence[Sequence[Array]]
+) -> list[Array]:
+    """Return the errors (N, laws) of torques [law][log] of a joint, by log."""
+    errors = []
+    for k, record in enumerate(joint_records):
+        columns = [record.tau - law_torques[k] for law_torques in torques]
+        errors.append(np.column_stack(columns))
+    return errors
+
+
 def _is_bounded(records: Records, torques: Sequence[Sequence[Array]]) -> bool:
     """Return whether the torques of a law did not diverge on any log."""
-    return all(
-        np.all(np.abs(record.tau - tau) < _MAX_ERROR)
-        for joint_records, joint_torques in zip(records, torques, strict=True)
-        for record, tau in zip(joint_records, joint_torques, strict=True)
-    )
+    for joint_records, joint_torques in zip(records, torques, strict=True):
+        for record, tau in zip(joint_records, joint_torques, strict=True):
+            # Not "any above": a comparison with NaN is false.
+            if not np.all(np.abs(record.tau - tau) < _MAX_ERROR):
+                return False
+    return True
 
 
 def _group_by_law(

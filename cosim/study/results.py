@@ -132,7 +132,7 @@ def save_run(folder: Path, run: ScoredRun, *, command: str, quick: bool) -> None
         joints=description.joints,
         gear_ratio=description.gear_ratio or (),
         twin=study.twin is not None,
-        truth=(study.twin and study.twin.truth) or "",
+        truth=study.truth,
         quick=quick,
         seed=study.seed,
         logs=tuple(

@@ -25,11 +25,12 @@ from fmu_src.pages.datasheet import ModelAudit
 from hesr_model.audit.properties import Properties, combine_results
 from hesr_model.equations.rows import vectors
 from hesr_model.errors import SimulationError
-from hesr_model.findings import log_findings
+from hesr_model.findings import Finding, log_findings
 from hesr_model.fitting.estimator import select_laws
 from hesr_model.forward.output_error import RefinementResult
 from hesr_model.friction.model import MIXED, FrictionModel, mix_models
 from hesr_model.health.examine import check_body, check_laws, check_logs
+from hesr_model.inference.choice import LawChoice
 from hesr_model.inference.folds import MIN_FOLDS
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import RigidBody
@@ -92,18 +93,8 @@ def run_study(
         with folder_written_whole(output) as folder:
             run = score_study(job, folder, accepted=accepted)
             models = run.models
-            records = run.records
-            test_records = {
-                test: select_records(names, records) for test, names in study.logs.judged.items()
-            }
-            replicates = write_replicates(folder, study, records, models, run.predictions)
-            # Laws were fitted to left-out rows as well: only tests show them as simulators.
-            simulated_records = test_records if study.logs.test else {}
-            position_errors = simulate_tests(models, simulated_records, run.robot, run.rigid_body)
-            write_json(
-                folder / SIMULATION,
-                {test: to_json(test_errors) for test, test_errors in position_errors.items()},
-            )
+            replicates = write_replicates(folder, study, run.records, models, run.predictions)
+            _write_position_errors(run, folder)
             truths = job.score_truths(
                 [law_name for law_name in models if law_name not in study.variants]
             )
@@ -118,27 +109,18 @@ def run_study(
                 partial(_document_fmu, run.fmus, properties, platforms=platform_folders),
                 partial(job.progress, "documenting FMUs"),
             )
-            run_verdict = judge_run(
-                run.comparisons,
-                models,
-                run.choice,
-                select_records(study.logs.training, records),
-                next(iter(test_records.values())),
-                properties,
-                gear_ratio=job.robot.gear_ratio is not None,
-                expected=Forecast.from_logs(run.files[name] for name in study.logs.training),
-                refined=run.refined if study.refinement else None,
-                may_refine=not quick,
-            )
+            run_verdict = _judge(run, properties, quick=quick)
             write_verdict(folder, run_verdict)
-            final_models = dict(models) | write_mixed_model(
+            mixed_models = write_mixed_model(
                 run_verdict, models, folder, audits, properties, platforms=platform_folders
             )
+            final_models = {**models, **mixed_models}
             following = job.following(run, final_models, run_verdict.law, folder)
             save_run(folder, run, command=_command(path, platforms, quick=quick), quick=quick)
             _report(folder, audits, job.progress, brief=quick)
             record_files(folder)
         shutil.rmtree(checkpoints, ignore_errors=True)
+    # The folder had another name until it was complete.
     fmus = {law_name: output / "fmus" / f"{law_name}.fmu" for law_name in final_models}
     return Outcome(
         **vars(replace(run, models=final_models, fmus=fmus)),
@@ -148,29 +130,60 @@ def run_study(
         following=following,
         truths=truths,
         replicates=replicates,
-        truth=(study.twin and study.twin.truth) or "",
+        truth=study.truth,
         platforms=platform_folders,
         cached=count_hits(used_before),
+    )
+
+
+def _write_position_errors(run: ScoredRun, folder: Path) -> None:
+    """Score the laws as simulators and write their position errors."""
+    # Laws were fitted to left-out rows as well: only tests show them as simulators.
+    test_records = {
+        test: select_records(names, run.records) for test, names in run.study.logs.test.items()
+    }
+    position_errors = simulate_tests(run.models, test_records, run.robot, run.rigid_body)
+    write_json(
+        folder / SIMULATION,
+        {test: to_json(test_errors) for test, test_errors in position_errors.items()},
+    )
+
+
+def _judge(run: ScoredRun, properties: Mapping[str, Properties], *, quick: bool) -> Verdict:
+    """Return the verdict of a run, from its first test."""
+    logs = run.study.logs
+    tested_names = next(iter(logs.judged.values()))
+    return judge_run(
+        run.comparisons,
+        run.models,
+        run.choice,
+        select_records(logs.training, run.records),
+        select_records(tested_names, run.records),
+        properties,
+        gear_ratio=run.robot.description.gear_ratio is not None,
+        expected=Forecast.from_logs(run.files[name] for name in logs.training),
+        refined=run.refined if run.study.refinement else None,
+        may_refine=not quick,
     )
 
 
 def _shorten_study(study: Study) -> Study:
     """Return a study with few laws and, in closed loop, one motion."""
     laws = select_laws("quick")
-    twin = study.twin and study.twin.model_copy(update={"truths": ()})
-    tracking = study.tracking and study.tracking.model_copy(
-        update={
-            "seeds": study.tracking.seeds[:1],
-            "sources": tuple(law_name for law_name in study.tracking.sources if law_name in laws),
-        }
-    )
     shorter: dict[str, Any] = {
         "laws": laws,
         "variants": {},
         "refinement": None,
         "folds": min(study.folds, MIN_FOLDS),
     }
-    return study.model_copy(update=shorter | {"tracking": tracking, "twin": twin})
+    if study.twin:
+        shorter["twin"] = study.twin.model_copy(update={"truths": ()})
+    if study.tracking:
+        sources = tuple(law_name for law_name in study.tracking.sources if law_name in laws)
+        shorter["tracking"] = study.tracking.model_copy(
+            update={"seeds": study.tracking.seeds[:1], "sources": sources}
+        )
+    return study.model_copy(update=shorter)
 
 
 def _report(
@@ -206,7 +219,8 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
     refined: dict[str, RefinementResult] = {}
     if study.refinement is not None and not study.refinement.law:  # all laws are refined
         refined = job.refine(logs, robot, body, models)
-        models |= {law_name: refinement.model for law_name, refinement in refined.items()}
+        for law_name, refinement in refined.items():
+            models[law_name] = refinement.model
 
     left_out_errors = job.judge_laws(logs, robot, body, list(models))
     models = {
@@ -215,15 +229,8 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
     if not study.logs.test:  # a law that failed without a part of the logs has no error to show
         models = {name: model for name, model in models.items() if name in left_out_errors.laws}
         refined = {name: refinement for name, refinement in refined.items() if name in models}
-    # Variants are references: only those that are recommended need advice.
     choice = choose_from_models(models, left_out_errors)
-    checked_models = {
-        name: model
-        for name, model in models.items()
-        if name in choice.laws or name not in study.variants
-    }
-    training_records = select_records(study.logs.training, records)
-    findings += log_findings(check_laws(checked_models, training_records))
+    findings += _check_models(study, models, records, choice)
     write_findings(folder, findings)
     fmus = _write_laws(job, models, folder)
     comparisons, predictions = job.compare(
@@ -252,6 +259,20 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
     )
 
 
+def _check_models(
+    study: Study, models: Mapping[str, FrictionModel], records: LogRecords, choice: LawChoice
+) -> list[Finding]:
+    """Check the fitted laws and log what is found."""
+    # Variants are references: only those that are recommended need advice.
+    checked_models = {
+        name: model
+        for name, model in models.items()
+        if name in choice.laws or name not in study.variants
+    }
+    training_records = select_records(study.logs.training, records)
+    return log_findings(check_laws(checked_models, training_records))
+
+
 def _provenance(job: Job, files: Mapping[str, Path]) -> dict[str, Any]:
     """Return the provenance of the body and the laws of a study."""
     study = job.study
@@ -275,8 +296,11 @@ def _records_with_history(
     """Return the records of each part of the logs; a tested part includes all rows before it."""
     extended_records = {}
     for name, log in logs.items():
-        history_log = job.read_with_history(name, files[name]) if name in job.tested_on else None
-        parts = log.parts() if history_log is None else _extend_parts(log, history_log)
+        parts = log.parts()
+        if name in job.tested_on:
+            history_log = job.read_with_history(name, files[name])
+            if history_log is not None:
+                parts = _extend_parts(log, history_log)
         extended_records[name] = [friction_records(part, robot, body) for part in parts]
     return extended_records
 
@@ -291,10 +315,10 @@ def _records_of_logs(logs: Mapping[str, Log], extended_records: LogRecords) -> L
     """Return the records of the logs themselves, which are the last rows of `extended_records`."""
     records = {}
     for name, log in logs.items():
-        records[name] = [
-            [record.rows(slice(-len(part.t), None)) for record in part_records]
-            for part, part_records in zip(log.parts(), extended_records[name], strict=True)
-        ]
+        records[name] = []
+        for part, part_records in zip(log.parts(), extended_records[name], strict=True):
+            last_rows = slice(-len(part.t), None)
+            records[name].append([record.rows(last_rows) for record in part_records])
     return records
 
 
@@ -342,11 +366,12 @@ def write_mixed_model(
     model.write(folder / "laws" / f"{MIXED}.json")
     audit = None
     law_audits = [audits.get(law_name) for law_name in run_verdict.laws]
-    if all(law_audits):
-        joints = list(enumerate(audit for audit in law_audits if audit))
+    known_audits = [law_audit for law_audit in law_audits if law_audit]
+    if len(known_audits) == len(law_audits):
+        joints = list(enumerate(known_audits))
         audit = ModelAudit(
-            certificates=tuple(law_audit.certificates[k] for k, law_audit in joints),
-            audits=tuple(law_audit.audits[k] for k, law_audit in joints),
+            certificates=tuple(law_audit.certificates[j] for j, law_audit in joints),
+            audits=tuple(law_audit.audits[j] for j, law_audit in joints),
         )
     checks = combine_results(MIXED, properties, run_verdict.laws)
     export_fmu(model, folder / run_verdict.fmu, properties=checks, audit=audit, **export_options)
@@ -362,4 +387,6 @@ def _command(study: Path, platforms: Sequence[str], *, quick: bool) -> str:
         words.append(name or path)
     if set(platforms) != set(DEFAULT_PLATFORMS):
         words += [f"--platform {platform}" for platform in platforms]
-    return " ".join([*words, "--quick"] if quick else words)
+    if quick:
+        words.append("--quick")
+    return " ".join(words)

@@ -210,16 +210,10 @@ def compare(
     """
     inputs = inputs or {}
     models = models or {}
-    zero_phase = zero_phase or {}
-    scores = {
-        law_name: _score_joints(records, torques) for law_name, torques in predictions.items()
-    }
+    scores = _score_laws(records, predictions)
+    zero_phase_scores = _score_laws(records, zero_phase or {})
     fallback = _choose_fallback(predictions)
-    ranked = [
-        law_name
-        for law_name in predictions
-        if law_name != ORACLE and not law_name.endswith(MEASURED_START)
-    ]
+    ranked = list(filter(is_usable, predictions))
     on_joints = []
     for j, joint_records in enumerate(records):
         error_table = _joint_errors(joint_records, predictions, j, ranked)
@@ -248,18 +242,28 @@ def compare(
         unseparated=tuple(separation.laws for separation in separations),
         log_count=len({record.log for record in records[0]}),
         zero_phase={
-            law_name: _law_scores(_score_joints(records, torques)).rmse
-            for law_name, torques in zero_phase.items()
+            law_name: _law_scores(joint_scores).rmse
+            for law_name, joint_scores in zero_phase_scores.items()
         },
     )
 
 
-def _score_joints(records: Records, torques: Sequence[Sequence[Array]]) -> list[Score]:
-    """Score the torques [joint][log] of one law on each joint."""
-    return [
-        score(joint_records, joint_torques)
-        for joint_records, joint_torques in zip(records, torques, strict=True)
-    ]
+def is_usable(law_name: str) -> bool:
+    """Return whether users can run the law of a row: they know neither friction nor torque."""
+    return law_name != ORACLE and not law_name.endswith(MEASURED_START)
+
+
+def _score_laws(
+    records: Records, predictions: Mapping[str, Sequence[Sequence[Array]]]
+) -> dict[str, list[Score]]:
+    """Score the torques [joint][log] of each law on each joint."""
+    scores = {}
+    for law_name, torques in predictions.items():
+        scores[law_name] = [
+            score(joint_records, joint_torques)
+            for joint_records, joint_torques in zip(records, torques, strict=True)
+        ]
+    return scores
 
 
 @dataclass(frozen=True, kw_only=True)

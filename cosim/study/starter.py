@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -18,6 +18,7 @@ from hesr_model.findings import Finding
 from hesr_model.health.proposal import robot_text
 from hesr_model.robots.mjcf import copy_model
 from hesr_model.robots.model_file import (
+    ModelJoint,
     find_arm,
     find_driven_joints,
     find_rest_positions,
@@ -71,9 +72,8 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
     used_joints = find_driven_joints(model, joints) if joints else find_arm(model)
     other_joints = [joint for joint in read_joints(model) if joint not in used_joints]
     resting_positions = find_rest_positions(other_joints)
-    springs = load(model).springs
+    values = _fill_in_joints(used_joints, load(model).springs)
     name = project_name(folder)
-    last_suffix = f"..{{}}{len(used_joints)}" if len(used_joints) > 1 else ""
     with folder_written_whole(folder, is_listed=False) as temporary:
         if model.suffix.lower() == ".xml":
             copy_model(model, temporary)
@@ -89,31 +89,14 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
                 joints=used_joints,
                 resting=resting_positions,
                 unused=join_few([joint.name for joint in other_joints]),
-                names=", ".join(to_toml(joint.name) for joint in used_joints),
-                springs=", ".join(
-                    json.dumps(driven_joint.name)
-                    for driven_joint in used_joints
-                    if driven_joint.name in springs
-                ),
-                ratios=", ".join(["100.0"] * len(used_joints)),
-                matrix=[
-                    ", ".join("100.0" if i == k else "0.0" for i in range(len(used_joints)))
-                    for k in range(len(used_joints))
-                ],
-                columns=", ".join(
-                    ["t", *(f"{c}1{last_suffix.format(c)}" for c in ("q", "dq", "tau"))]
-                ),
                 rate=RATE,
+                **values,
             )
             (temporary / file).write_text(text, encoding="utf-8")
         description = RobotDescription.read(temporary / "robot.toml")
         Study.read(temporary / "study.toml")
-        log_paths = []
         robot = Robot(description)
-        for log in sample_logs(robot):
-            log_paths.append(temporary / "logs" / f"{log.name}.csv")
-            log.write(log_paths[-1])
-        mark_samples(log_paths)
+        _write_samples(robot, temporary / "logs")
     return NewProject(
         folder=folder,
         joints=tuple(joint.name for joint in used_joints),
@@ -121,6 +104,36 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
         locked=resting_positions,
         doubts=tuple(replace(finding, where=str(folder / model.name)) for finding in robot.doubts),
     )
+
+
+def _fill_in_joints(joints: Sequence[ModelJoint], springs: Collection[str]) -> dict[str, Any]:
+    """Return the values of the templates that list joints, as TOML; `springs` are names."""
+    count = len(joints)
+    columns = ["t", "q1", "dq1", "tau1"]
+    if count > 1:
+        columns = ["t", f"q1..q{count}", f"dq1..dq{count}", f"tau1..tau{count}"]
+    rows = []
+    for k in range(count):
+        row = ["0.0"] * count
+        row[k] = "100.0"
+        rows.append(", ".join(row))
+    return {
+        "names": ", ".join(to_toml(joint.name) for joint in joints),
+        "springs": ", ".join(json.dumps(joint.name) for joint in joints if joint.name in springs),
+        "ratios": ", ".join(["100.0"] * count),
+        "matrix": rows,
+        "columns": ", ".join(columns),
+    }
+
+
+def _write_samples(robot: Robot, folder: Path) -> None:
+    """Write the sample logs of a robot and mark them as such."""
+    log_paths = []
+    for log in sample_logs(robot):
+        log_path = folder / f"{log.name}.csv"
+        log.write(log_path)
+        log_paths.append(log_path)
+    mark_samples(log_paths)
 
 
 def start_twin(folder: Path) -> NewProject:
@@ -172,17 +185,25 @@ class Bench:
     def __post_init__(self) -> None:
         if self.kind not in _AXES:
             raise ArgumentError(f"'bench' is '{self.kind}'; it must be rotary or sliding.")
-        for name in (name for name in self.joints if self.joints.count(name) > 1):
-            raise ArgumentError(f"'joints' has '{name}' twice; every joint needs its own name.")
+        repeated = [name for name in self.joints if self.joints.count(name) > 1]
+        if repeated:
+            raise ArgumentError(
+                f"'joints' has '{repeated[0]}' twice; every joint needs its own name."
+            )
         if self.kind == "sliding" and (self.moment or self.phase):
             raise ArgumentError("'moment' and 'phase' are for a rotary bench; use 'gravity'.")
         if (self.moment is None) != (self.phase is None):
             raise ArgumentError("'moment' and 'phase' belong together; give both or neither.")
-        for name in ("inertia", "moment", "phase"):
+        self._require_positive()
+        for value in self.phase or ():
+            if not np.isfinite(value):
+                raise ArgumentError(f"'phase' is {value:g}; it must be finite.")
+
+    def _require_positive(self) -> None:
+        for name in ("inertia", "moment"):
             for value in getattr(self, name) or ():
-                if not (np.isfinite(value) and (value > 0.0 or name == "phase")):
-                    requirement = "finite" if name == "phase" else "positive"
-                    raise ArgumentError(f"'{name}' is {value:g}; it must be {requirement}.")
+                if not (np.isfinite(value) and value > 0.0):
+                    raise ArgumentError(f"'{name}' is {value:g}; it must be positive.")
 
     @property
     def hangs(self) -> bool:
@@ -192,9 +213,22 @@ class Bench:
     @property
     def known(self) -> tuple[str, ...]:
         """Names of the known parameters."""
-        inertia = "m" if self.kind == "sliding" else "Iyy" if self.hangs else "Izz"
-        names = [inertia] * bool(self.inertia) + ["mx", "mz"] * bool(self.moment)
-        return tuple(f"{joint}.{name}" for joint in self.joints for name in names)
+        names = []
+        if self.inertia:
+            names.append(self._inertia_name)
+        if self.moment:
+            names += ["mx", "mz"]
+        known = []
+        for joint in self.joints:
+            known += [f"{joint}.{name}" for name in names]
+        return tuple(known)
+
+    @property
+    def _inertia_name(self) -> str:
+        """Name of the parameter of a body that its joint accelerates."""
+        if self.kind == "sliding":
+            return "m"
+        return "Iyy" if self.hangs else "Izz"
 
     def urdf(self) -> str:
         """Return a model with one link per joint."""
@@ -206,11 +240,15 @@ class Bench:
 
     def _body(self, k: int) -> Mapping[str, Any]:
         """Return mass, inertia and centre of a body; half of its inertia is that of the mass."""
+        # In the model file one SI unit stands for a number that is to be identified.
         inertia = self.inertia[k] if self.inertia else 1.0
-        is_pendulum = self.kind == "rotary" and self.hangs
-        first_moment = (self.moment[k] if self.moment else 1.0) / _GRAVITY if is_pendulum else 0.0
-        mass = 2.0 * first_moment**2 / inertia if is_pendulum else inertia
         phase = self.phase[k] if self.phase else 0.0
+        first_moment = 0.0
+        mass = inertia
+        if self.kind == "rotary" and self.hangs:
+            gravity_moment = self.moment[k] if self.moment else 1.0
+            first_moment = gravity_moment / _GRAVITY
+            mass = 2.0 * first_moment**2 / inertia
         return {
             "name": self.joints[k],
             "mass": mass,
@@ -229,7 +267,8 @@ def start_bench(
     """
     require_new(folder)
     with folder_written_whole(folder, is_listed=False) as temporary:
-        model_path, file = (temporary.resolve() / name for name in ("bench.urdf", "robot.toml"))
+        model_path = temporary.resolve() / "bench.urdf"
+        file = temporary.resolve() / "robot.toml"
         model_path.write_text(bench.urdf(), encoding="utf-8")
         description = RobotDescription.from_data(
             folder / "robot.toml",

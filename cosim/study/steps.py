@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from inspect import signature
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
@@ -32,15 +33,15 @@ from fmu_src.friction.predictions import Records, predict_fmu
 from hesr_model.errors import ConfigError, FitError, HesrError, LogError
 from hesr_model.findings import log_findings
 from hesr_model.fitting.days import Nuisance, add_fitted_nuisances
-from hesr_model.fitting.estimator import estimator, registry, select_laws
+from hesr_model.fitting.estimator import Estimator, estimator, registry, select_laws
 from hesr_model.fitting.fit import fit_models
 from hesr_model.fitting.left_out import judge_laws
 from hesr_model.forward.output_error import RefinementResult, refine
 from hesr_model.friction.model import MIXED, FrictionModel
-from hesr_model.inference.folds import split_into_folds, thin
+from hesr_model.inference.folds import Fold, split_into_folds, thin
 from hesr_model.inference.left_out import LeftOutErrors
 from hesr_model.logs.robot_log import Log
-from hesr_model.logs.signals import smooth_logs
+from hesr_model.logs.signals import Motion, smooth_logs
 from hesr_model.logs.tables import read_table
 from hesr_model.rigid_body.choice import identify_from_logs, identify_without
 from hesr_model.rigid_body.identification import RigidBody
@@ -116,7 +117,12 @@ class Job:
             self._require_law(f"variants.{name}.options", variant.law, variant.options)
         if study.refinement and study.refinement.law:
             self._require_law("refinement.law", study.refinement.law)
-        for law_name in study.tracking.sources if study.tracking else ():
+        if study.tracking:
+            self._require_sources(study.tracking.sources)
+
+    def _require_sources(self, sources: Sequence[str]) -> None:
+        """Require that the study fits the laws that its closed loop uses."""
+        for law_name in sources:
             if law_name not in self.laws:
                 law_list = ", ".join(self.laws)
                 raise self._error(
@@ -164,13 +170,14 @@ class Job:
     @cached_property
     def laws(self) -> tuple[str, ...]:
         """Baselines, laws and variants; by default all everyday laws that the robot allows."""
-        possible_laws = (
-            name
-            for name, law in registry().items()
-            if law.everyday and all(getattr(self.robot, need) is not None for need in law.needs)
-        )
-        laws = self.study.laws or possible_laws
+        laws: Iterable[str] = self.study.laws
+        if not laws:
+            laws = [name for name, law in registry().items() if law.everyday and self._meets(law)]
         return tuple(dict.fromkeys((*select_laws("baseline"), *laws, *self.study.variants)))
+
+    def _meets(self, law: type[Estimator]) -> bool:
+        """Return whether the robot file states all that a law needs."""
+        return all(getattr(self.robot, need) is not None for need in law.needs)
 
     @property
     def trained_on(self) -> list[str]:
@@ -181,8 +188,7 @@ class Job:
     @property
     def tested_on(self) -> list[str]:
         """Logs of the test sets."""
-        tests = self.study.logs.test.values()
-        return list(dict.fromkeys(name for names in tests for name in names))
+        return list(dict.fromkeys(chain.from_iterable(self.study.logs.test.values())))
 
     def log_files(self, folder: Path) -> dict[str, Path]:
         """Return the file of every log; those of the twin are simulated."""
@@ -211,23 +217,24 @@ class Job:
         return {name: files[name] for name in names}
 
     def _file_name(self, name: str) -> str:
-        part = self.study.logs.parts.get(name)
-        return name if part is None else part.log
+        if name in self.study.logs.parts:
+            return self.study.logs.parts[name].log
+        return name
 
     def read(self, name: str, file: Path) -> Log:
         """Read a log of the study, or a named part of a log."""
         log = Log.read(file, self.robot)
-        part = self.study.logs.parts.get(name)
-        return log if part is None else _select_part(log, name, part)
+        if name in self.study.logs.parts:
+            return _select_part(log, name, self.study.logs.parts[name])
+        return log
 
     def read_with_history(self, name: str, file: Path) -> Log | None:
         """Read a part of a log and all rows before it, for its start; None for a whole log."""
         part = self.study.logs.parts.get(name)
         if part is None or part.start == 0.0:
             return None
-        return _select_part(
-            Log.read(file, self.robot), name, part.model_copy(update={"start": 0.0})
-        )
+        log = Log.read(file, self.robot)
+        return _select_part(log, name, part.model_copy(update={"start": 0.0}))
 
     def properties(self, run: ScoredRun, folder: Path) -> "dict[str, Properties]":
         """Run the physics checks, if present, on all laws and write the results."""
@@ -278,7 +285,7 @@ class Job:
         predict = plugins.load("hesr.studies").get("following")
         if predict is None:
             return Following()
-        names = [*(name for test in self.study.logs.test.values() for name in test), *run.logs]
+        names = [*chain.from_iterable(self.study.logs.test.values()), *run.logs]
         logs = [run.logs[name] for name in names]
         models_by_law = {name: models[name] for name in select_laws("quick") if name in models}
         models_by_law[law_name] = models_by_law.pop(law_name, models[law_name])
@@ -446,32 +453,14 @@ class Job:
         Each fold leaves out logs, or a block of time, for both the body and the laws.
         """
         study = self.study
-        motions_by_log = {
-            name: [replace(motion, name=name) for motion in smooth_logs([logs[name]], robot)]
-            for name in self.trained_on
-        }
-        motions = [motion for name in study.logs.training for motion in motions_by_log[name]]
+        motions: list[Motion] = []
+        for name in study.logs.training:
+            motions += _smooth_log(logs[name], name, robot)
         folds = split_into_folds(motions, study.folds)
         identifying_logs = {*study.logs.identification, *study.logs.reversed}
         bodies = [body] * len(folds)
         if identifying_logs & set(study.logs.training):
-            # Laws are not judged on the other logs, which therefore identify every fold's body.
-            other_motions = [
-                thin(motion)
-                for name in self.trained_on
-                if name not in study.logs.training
-                for motion in motions_by_log[name]
-            ]
-            bodies = [
-                identify_without(
-                    replace(fold, training=(*fold.training, *other_motions)),
-                    robot,
-                    body,
-                    study.logs.identification,
-                    reversed_logs=study.logs.reversed,
-                )
-                for fold in folds
-            ]
+            bodies = self._identify_fold_bodies(folds, logs, robot, body)
         return judge_laws(
             laws,
             motions,
@@ -485,6 +474,29 @@ class Job:
             checkpoints=self.checkpoints and self.checkpoints / "laws",
             progress=partial(self.progress, "judging laws on left-out rows"),
         )
+
+    def _identify_fold_bodies(
+        self, folds: Sequence[Fold], logs: Mapping[str, Log], robot: Robot, body: RigidBody
+    ) -> list[RigidBody]:
+        """Identify the body of each fold without the rows that the fold judges."""
+        study_logs = self.study.logs
+        # Laws are not judged on the other logs, which therefore identify every fold's body.
+        other_motions: list[Motion] = []
+        for name in self.trained_on:
+            if name not in study_logs.training:
+                other_motions += map(thin, _smooth_log(logs[name], name, robot))
+        bodies = []
+        for fold in folds:
+            known_rows = replace(fold, training=(*fold.training, *other_motions))
+            fold_body = identify_without(
+                known_rows,
+                robot,
+                body,
+                study_logs.identification,
+                reversed_logs=study_logs.reversed,
+            )
+            bodies.append(fold_body)
+        return bodies
 
     def compare(
         self,
@@ -561,11 +573,16 @@ class Job:
         return replayed
 
     def _true_friction(self, files: Sequence[Path]) -> list[list[Array]]:
+        """Return the friction [joint][log] of the twin that made some logs."""
         from cosim.loop.excite import truth_path
 
         names = [f"tau_f{number}" for number in range(1, len(self.robot.joints) + 1)]
-        torques = [read_table(truth_path(file)).numbers(names) for file in files]
-        return [[tau[:, j] for tau in torques] for j in range(len(names))]
+        torques: list[list[Array]] = [[] for _ in names]
+        for file in files:
+            tau = read_table(truth_path(file)).numbers(names)
+            for j, joint_torques in enumerate(torques):
+                joint_torques.append(tau[:, j])
+        return torques
 
 
 def _select_part(log: Log, name: str, part: Part) -> Log:
@@ -581,6 +598,11 @@ def _select_part(log: Log, name: str, part: Part) -> Log:
             key=f"logs.parts.{name}",
         )
     return replace(log.rows(rows), name=name)
+
+
+def _smooth_log(log: Log, name: str, robot: Robot) -> list[Motion]:
+    """Return the smoothed motion of each part of a log, with the name of the log in the study."""
+    return [replace(motion, name=name) for motion in smooth_logs([log], robot)]
 
 
 def _list_replays(tests: Iterable[str], models: Mapping[str, FrictionModel]) -> list[_ReplayCase]:
@@ -607,19 +629,16 @@ def _add_left_out_errors(
     """Return torques [joint][log] by law that differ from the records by the left-out errors."""
     torques = {}
     for law_name, law_errors in left_out.joint_errors.items():
-        ordered_errors = [
-            errors
-            for name in names
-            for log_name, errors in zip(left_out.log_names, law_errors, strict=True)
-            if log_name == name
-        ]
-        torques[law_name] = [
-            [
-                record.tau + errors[:, j]
-                for record, errors in zip(joint_records, ordered_errors, strict=True)
-            ]
-            for j, joint_records in enumerate(records)
-        ]
+        # A log that is split at gaps has several errors.
+        errors_by_log = defaultdict(list)
+        for log_name, errors in zip(left_out.log_names, law_errors, strict=True):
+            errors_by_log[log_name].append(errors)
+        ordered_errors = list(chain.from_iterable(errors_by_log[name] for name in names))
+        law_torques = []
+        for j, joint_records in enumerate(records):
+            pairs = zip(joint_records, ordered_errors, strict=True)
+            law_torques.append([record.tau + errors[:, j] for record, errors in pairs])
+        torques[law_name] = law_torques
     return torques
 
 

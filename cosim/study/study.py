@@ -1,7 +1,7 @@
 """A study: robot, laws, and the logs for identification, training and test."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
@@ -149,6 +149,13 @@ class Study(Config):
         """The kind of the rigid body, or "choose"."""
         return "physical" if self.physical else self.body
 
+    @property
+    def truth(self) -> str:
+        """Alternative plant of the twin that makes the logs; empty for its MJCF."""
+        if self.twin is None or self.twin.truth is None:
+            return ""
+        return self.twin.truth
+
     @model_validator(mode="after")
     def _keys_fit(self) -> Self:
         for band in self.bands:
@@ -164,19 +171,9 @@ class Study(Config):
                 code="study.body",
                 key="body",
             )
-        rows = {
-            ("law", "laws"): [*self.laws, *self.variants],
-            ("test set or band", "logs.test"): [
-                *self.logs.judged,
-                *(band.name for band in self.bands),
-            ],
-        }
-        for (kind, key), names in rows.items():
-            repeated = [name for name, count in Counter(names).items() if count > 1]
-            if repeated:
-                raise RuleError(
-                    f"more than one {kind} is named '{repeated[0]}'", code="study.names", key=key
-                )
+        _require_unique([*self.laws, *self.variants], "law", "laws")
+        bands = [band.name for band in self.bands]
+        _require_unique([*self.logs.judged, *bands], "test set or band", "logs.test")
         if self.tracking and not (self.twin and self.twin.signals):
             raise RuleError(
                 "'tracking' needs the keys 'twin' and 'twin.signals'",
@@ -184,3 +181,12 @@ class Study(Config):
                 key="tracking",
             )
         return self
+
+
+def _require_unique(names: Iterable[str], kind: str, key: str) -> None:
+    """Require that no two rows of a table have one name."""
+    repeated = [name for name, count in Counter(names).items() if count > 1]
+    if repeated:
+        raise RuleError(
+            f"more than one {kind} is named '{repeated[0]}'", code="study.names", key=key
+        )

@@ -20,7 +20,7 @@ from cosim.report.tables.scores import (
     recommendation,
 )
 from cosim.study.results import read_findings
-from cosim.study.scores import MEASURED_START, ORACLE, Comparison
+from cosim.study.scores import ORACLE, Comparison, is_usable
 from cosim.study.verdict import describe_choice
 from hesr_model.audit.properties import EXPECTATIONS, combine_results
 from hesr_model.fitting.estimator import papers_law
@@ -163,8 +163,7 @@ def _find_rival(comparison: Comparison, laws: Sequence[str]) -> _Reference | Non
     rivals = []
     for other in law_ratios.laws:
         references = [law_ratios.find_reference(other, j) for j in range(len(laws))]
-        is_usable = other != ORACLE and not other.endswith(MEASURED_START)
-        if is_usable and references == list(laws):
+        if is_usable(other) and references == list(laws):
             rivals.append(other)
     if not rivals:
         return None
