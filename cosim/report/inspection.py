@@ -31,10 +31,12 @@ _MOTION = "Motion and torque"
 
 def write_inspection(path: Path, proposal: Proposal) -> None:
     """Write the page, or only its figure if the suffix is ``.svg``."""
-    robot = Robot(proposal.description) if proposal.description.model.is_file() else None
+    robot = None
+    if proposal.description.model.is_file():
+        robot = Robot(proposal.description)
     if path.suffix.lower() == ".svg":
-        pictured_robot = robot if not proposal.logs else None
-        write_svg(picture(pictured_robot) if pictured_robot else joints(_views(proposal)), path)
+        figure = picture(robot) if robot and not proposal.logs else joints(_views(proposal))
+        write_svg(figure, path)
         return
     views = _views(proposal)
     subject = "Logs of" if proposal.logs else "Robot"
@@ -52,9 +54,8 @@ def _summary_lines(proposal: Proposal, views: Sequence[JointView]) -> list[str]:
     """Count the findings, and say whether the proposal fixes them and what has no figure."""
     errors = sum(finding.severity == "error" for finding in proposal.first_findings)
     warnings = len(proposal.first_findings) - errors
-    if not proposal.first_findings:
-        lines = ["No errors or warnings."]
-    else:
+    lines = ["No errors or warnings."]
+    if proposal.first_findings:
         lines = [f"{count_noun(errors, 'error')}, {count_noun(warnings, 'warning')}."]
     if proposal.first_findings and proposal.reasons and not proposal.examination.findings:
         lines.append("The proposed robot file fixes all of them.")
@@ -67,7 +68,9 @@ def _summary_lines(proposal: Proposal, views: Sequence[JointView]) -> list[str]:
 
 def _tables(proposal: Proposal, robot: Robot | None) -> list[ResultTable]:
     """Return the tables of the robot, if its model is known, of the logs and of the joints."""
-    tables = [replace(table, section=_ROBOT) for table in robot_tables(robot)] if robot else []
+    tables = []
+    if robot:
+        tables += [replace(table, section=_ROBOT) for table in robot_tables(robot)]
     if proposal.logs:
         tables += [_logs(proposal), _joints(proposal)]
     return tables
@@ -113,7 +116,9 @@ def _text_sections(proposal: Proposal, path: Path) -> list[Section]:
     gaps: dict[str, list[str]] = {}
     for joint, gap in find_unseen_effects(proposal.examination, proposal.description.joints):
         gaps.setdefault(gap, []).append(joint)
-    file = robot_file(proposal, path) if proposal.description.model.is_file() else ""
+    file = ""
+    if proposal.description.model.is_file():
+        file = robot_file(proposal, path)
     titles = {"file": "Proposed robot file"}
     if proposal.logs:
         titles = {"unseen": "What this log cannot show", **titles}
@@ -159,20 +164,22 @@ def _views(proposal: Proposal) -> list[JointView]:
     if not examination.parts:
         return []
     k, part = _longest(proposal)
-    return [
-        JointView(
+    views = []
+    for j in np.flatnonzero(part.is_moving).tolist():
+        loads = None
+        if examination.torques:
+            loads = np.concatenate([torques.gravity[:, j] for torques in examination.torques])
+        view = JointView(
             name=proposal.description.joints[j],
             # Without a model joints count as revolute.
             unit="m/s" if j in proposal.prismatic_joints else "rad/s",
-            velocities=_velocities(part, int(j)),
-            friction=_friction(examination, k, int(j)),
+            velocities=_velocities(part, j),
+            friction=_friction(examination, k, j),
             covered=np.concatenate([smooth_part.v[:, j] for smooth_part in examination.parts]),
-            loads=np.concatenate([torques.gravity[:, j] for torques in examination.torques])
-            if examination.torques
-            else None,
+            loads=loads,
         )
-        for j in np.flatnonzero(part.is_moving)
-    ]
+        views.append(view)
+    return views
 
 
 def _line(name: str, x: Array, y: Array, stroke: Stroke) -> Line:
@@ -181,15 +188,13 @@ def _line(name: str, x: Array, y: Array, stroke: Stroke) -> Line:
 
 
 def _velocities(part: SmoothPart, j: int) -> Sequence[Line]:
+    """Return the lines of a joint's velocity: logged, if it is, and from the position."""
     log = part.log
-    position_line = _line(
-        "from the position", part.t, part.v[:, j], Stroke(colour=SERIES[1], width=0.9)
-    )
-    return (
-        (position_line,)
-        if log.dq is None
-        else (_line("logged", log.t, log.dq[:, j], MEASURED), position_line)
-    )
+    stroke = Stroke(colour=SERIES[1], width=0.9)
+    position_line = _line("from the position", part.t, part.v[:, j], stroke)
+    if log.dq is None:
+        return [position_line]
+    return [_line("logged", log.t, log.dq[:, j], MEASURED), position_line]
 
 
 def _friction(examination: Examination, k: int, j: int) -> Line | None:
@@ -199,12 +204,10 @@ def _friction(examination: Examination, k: int, j: int) -> Line | None:
     model_torques = examination.torques[k]
     fit = examination.fits[k][j]
     residual = part.tau[:, j].copy()
-    for estimate, torque in (
-        (fit.gravity, model_torques.gravity),
-        (fit.inertia, model_torques.inertial),
-    ):
-        if np.isfinite(estimate.error):
-            residual -= estimate.value * torque[:, j]
-    return _line(
-        "friction", part.v[:, j], residual - residual.mean(), Stroke(colour=SERIES[0], width=0.6)
-    )
+    # A scale without a finite error was not determined by this log.
+    if np.isfinite(fit.gravity.error):
+        residual -= fit.gravity.value * model_torques.gravity[:, j]
+    if np.isfinite(fit.inertia.error):
+        residual -= fit.inertia.value * model_torques.inertial[:, j]
+    stroke = Stroke(colour=SERIES[0], width=0.6)
+    return _line("friction", part.v[:, j], residual - residual.mean(), stroke)

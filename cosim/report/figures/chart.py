@@ -55,7 +55,11 @@ class Chart:
     @property
     def lines(self) -> list[Line]:
         """Lines of all panels."""
-        return [line for row in self.rows for panel in row for line in panel.lines]
+        lines: list[Line] = []
+        for row in self.rows:
+            for panel in row:
+                lines += panel.lines
+        return lines
 
 
 def _make_figure(size: tuple[float, float]) -> Figure:
@@ -80,11 +84,12 @@ def draw_chart(
     max_columns = min(_COLUMNS, _COLUMNS * _ROWS // rows)
     size = (width, chart.height * rows + 0.5)
     name_count = len({line.name for line in chart.lines})
-    top = 0.28 + (0.18 * ceil(name_count / _NAMES_PER_ROW) if name_count > 1 else 0.0)
+    top_margin = 0.28
+    if name_count > 1:  # there is a legend
+        top_margin += 0.18 * ceil(name_count / _NAMES_PER_ROW)
+    margins = (0.62, top_margin, 0.42)
     with apply_style():
-        figure, axes = grid(
-            size, rows, columns, (0.62, top, 0.42), make_figure=make_figure, sharex=True
-        )
+        figure, axes = grid(size, rows, columns, margins, make_figure=make_figure, sharex=True)
         for row, panels in zip(axes, chart.rows, strict=True):
             for axis, panel in zip(row, panels, strict=True):
                 _draw(axis, panel, chart.window, max_columns // columns)
@@ -108,11 +113,9 @@ def grid(
     Places follow from the figure's size, left, top and bottom margin, and gaps [in].
     """
     # Laying out axes by their texts takes as long as drawing them.
-    (width, height), (left_margin, top_margin, bottom_margin), (horizontal_gap, vertical_gap) = (
-        size,
-        margins,
-        gaps,
-    )
+    width, height = size
+    left_margin, top_margin, bottom_margin = margins
+    horizontal_gap, vertical_gap = gaps
     axes_width = (width - left_margin - _RIGHT_MARGIN - (columns - 1) * horizontal_gap) / columns
     axes_height = (height - top_margin - bottom_margin - (rows - 1) * vertical_gap) / rows
     places = {
@@ -199,4 +202,6 @@ def _draw(axis: Axes, panel: Panel, window: tuple[float, float] | None, columns:
 
 
 def _dash(stroke: Stroke) -> LineStyleType:
-    return (0, stroke.dash) if stroke.dash else "solid"
+    if not stroke.dash:
+        return "solid"
+    return (0, stroke.dash)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -99,20 +100,26 @@ def joints(views: Sequence[JointView]) -> Figure:
                 plot(row[1], view.friction)
             else:
                 _note(row[1], "no model")
-            for axis, values in ((row[2], view.covered), (row[3], view.loads)):
-                axis.set_yticks([])
-                if values is None or np.ptp(values) < _MIN_RANGE:
-                    _note(axis, "no model" if values is None else "none")
-                else:
-                    axis.hist(values, bins=_BINS, color=SERIES[2])
+            _draw_histogram(row[2], view.covered)
+            _draw_histogram(row[3], view.loads)
             titles = ("torque minus model", "rows by velocity", "rows by gravity")
             row[0].set_title(f"{view.name}: {view.unit} over s", fontsize=8.5)
             units = (view.unit, view.unit, "N" if view.unit == "m/s" else "N.m")
             for axis, title, unit in zip(row[1:], titles, units, strict=True):
                 axis.set_title(title, fontsize=8.5)
                 axis.set_xlabel(unit, fontsize=8, labelpad=1)
-        legend(figure, [line for view in views for line in view.velocities])
+        legend(figure, list(chain.from_iterable(view.velocities for view in views)))
     return figure
+
+
+def _draw_histogram(axis: Axes, values: Array | None) -> None:
+    axis.set_yticks([])
+    if values is None:
+        _note(axis, "no model")
+    elif np.ptp(values) < _MIN_RANGE:
+        _note(axis, "none")
+    else:
+        axis.hist(values, bins=_BINS, color=SERIES[2])
 
 
 def _note(axis: Axes, text: str) -> None:

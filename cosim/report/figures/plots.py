@@ -58,20 +58,19 @@ def loops(
     columns = min(_LOOP_COLUMNS, len(laws))
     rows = ceil(len(laws) / columns)
     with apply_style():
-        _, height = size = (9.0, 1.75 * rows + 0.55)
+        height = 1.75 * rows + 0.55
         margins = (0.63, 0.25, 0.5)
         gaps = (0.11, 0.26)
-        figure, axes = grid(size, rows, columns, margins, gaps, sharex=True, sharey=True)
+        figure, axes = grid((9.0, height), rows, columns, margins, gaps, sharex=True, sharey=True)
         fastest = float(np.max(np.abs(measured[0])))
-        is_slow = np.abs(measured[0]) <= _MAX_SPEED_SHARE * fastest
-        reach, is_near = (
-            (_MAX_SPEED_SHARE * fastest, is_slow) if is_slow.any() else (fastest, ~is_slow)
-        )
+        reach = _MAX_SPEED_SHARE * fastest
+        is_near = np.abs(measured[0]) <= reach
+        if not is_near.any():  # no reversal: all rows
+            reach = fastest
+            is_near = ~is_near
         count = int(np.count_nonzero(is_near))
-        measured_step, law_step = (
-            max(1, count // max_points)
-            for max_points in (points or _MAX_MEASURED_POINTS, points or count + 1)
-        )
+        measured_step = max(1, count // (points or _MAX_MEASURED_POINTS))
+        law_step = max(1, count // (points or count + 1))
         lowest, highest = np.quantile(measured[1][is_near], (0.002, 0.998))
         margin = 0.15 * (highest - lowest)
         for axis, (title, (dq, tau)) in zip(axes.flat, laws.items(), strict=False):
@@ -98,16 +97,14 @@ def ratios(laws: Mapping[str, Sequence[ErrorRatio]], joints: Sequence[str], *, x
     with apply_style():
         left_margin = 0.2 + _LETTER * max(map(len, laws))
         figure, [[axis]] = grid((9.0, 0.34 * len(laws) + 1.1), 1, 1, (left_margin, 0.24, 0.44))
-        offsets = np.linspace(-0.27, 0.27, len(joints)) if len(joints) > 1 else [0.0]
+        offsets = np.zeros(1)
+        if len(joints) > 1:
+            offsets = np.linspace(-0.27, 0.27, len(joints))
         for k, (joint, offset) in enumerate(zip(joints, offsets, strict=True)):
             joint_ratios = [row[k] for row in laws.values()]
             values = np.array([ratio.value for ratio in joint_ratios])
-            low, high = np.array(
-                [
-                    [ratio.value if end is None else end for end in (ratio.low, ratio.high)]
-                    for ratio in joint_ratios
-                ]
-            ).T
+            intervals = np.array(list(map(_find_interval, joint_ratios)))
+            low, high = intervals.T
             axis.errorbar(
                 values,
                 np.arange(len(joint_ratios)) + offset,
@@ -128,6 +125,13 @@ def ratios(laws: Mapping[str, Sequence[ErrorRatio]], joints: Sequence[str], *, x
             loc="outside upper left", ncols=len(joints), borderaxespad=0.0, handletextpad=0.3
         )
     return figure
+
+
+def _find_interval(ratio: ErrorRatio) -> tuple[float, float]:
+    """Return the ends of a ratio's interval; a test that is too short has none to draw."""
+    low = ratio.value if ratio.low is None else ratio.low
+    high = ratio.value if ratio.high is None else ratio.high
+    return low, high
 
 
 def _ratio_axis(axis: Axes) -> None:

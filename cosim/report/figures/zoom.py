@@ -13,7 +13,7 @@ import numpy as np
 from hesr_model.support.arrays import Array
 
 if TYPE_CHECKING:
-    from cosim.report.figures.chart import Chart, Panel
+    from cosim.report.figures.chart import Chart, Line, Panel
 
 _PIXELS = 105  # pixels per inch of a row's height
 _MAX_VALUES = 50_000  # maximum number of values of a chart; more are thinned
@@ -32,18 +32,18 @@ def zoom_data(chart: "Chart") -> str:
     times = {id(line.x): line.x for line in chart.lines}
     numbers = {key: k for k, key in enumerate(times)}
 
+    def describe_line(line: "Line") -> dict[str, Any]:
+        return {
+            "name": line.name,
+            "time": numbers[id(line.x)],
+            "y": _round_values(line.y[::step]),
+            "colour": line.stroke.colour,
+            "width": max(line.stroke.width, 1.2),
+            "dash": [max(round(length), 1) for length in line.stroke.dash],
+        }
+
     def describe_panel(panel: "Panel") -> dict[str, Any]:
-        panel_lines = [
-            {
-                "name": line.name,
-                "time": numbers[id(line.x)],
-                "y": _round_values(line.y[::step]),
-                "colour": line.stroke.colour,
-                "width": max(line.stroke.width, 1.2),
-                "dash": [max(round(length), 1) for length in line.stroke.dash],
-            }
-            for line in panel.lines
-        ]
+        panel_lines = list(map(describe_line, panel.lines))
         marks = [place for place, _ in panel.marks]
         return {"title": panel.title, "y": panel.y, "lines": panel_lines, "marks": marks}
 
@@ -51,7 +51,7 @@ def zoom_data(chart: "Chart") -> str:
         "x": chart.x,
         "height": round(_PIXELS * chart.height),
         "times": [_round_values(x[::step]) for x in times.values()],
-        "rows": [[describe_panel(panel) for panel in row] for row in chart.rows],
+        "rows": [list(map(describe_panel, row)) for row in chart.rows],
         "names": {
             chart_line.name: {"colour": chart_line.stroke.colour, "dash": chart_line.stroke.dash}
             for chart_line in chart.lines

@@ -7,7 +7,7 @@ import numpy as np
 
 from cosim.loop.closed_loop import Scheme, StandIn
 from cosim.loop.traces import Tracked
-from cosim.report.figures.chart import Chart, Line, Panel
+from cosim.report.figures.chart import Chart, Figure, Line, Panel
 from cosim.report.figures.plots import loops as loop_panels
 from cosim.report.figures.plots import ratios
 from cosim.report.figures.style import DESIRED, MEASURED, SOFT, Stroke, strokes
@@ -266,10 +266,10 @@ def _draw_loops(
     number: int,
     laws: Sequence[str],
     points: int | None,
-) -> Any:
+) -> Figure:
     """Draw the friction of one joint over its velocity: measured, by laws, and the true one.
 
-    The figure, of Matplotlib, has at most `points` points of a law; None is all.
+    The figure has at most `points` points of a law; None is all.
     """
     dq = torques[f"dq{number}"]
     measured = torques[f"tau{number}"] - torques[f"tau_rb{number}"]

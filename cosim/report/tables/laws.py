@@ -6,7 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cosim.report.tables.table import ResultTable, TableCell, fixed_cell, joints, make_row, title
+from cosim.report.tables.table import (
+    ResultTable,
+    TableCell,
+    TableRow,
+    fixed_cell,
+    joints,
+    make_row,
+    title,
+)
 from hesr_model.audit.audit import Audit
 from hesr_model.audit.properties import EXPECTATIONS, Expectation, Properties, PropertyResult
 from hesr_model.fitting.estimator import registry
@@ -20,6 +28,7 @@ from hesr_model.units import unit_of_joint, unit_of_joints
 
 if TYPE_CHECKING:
     from fmu_src.friction.convention import Convention
+    from fmu_src.friction.reference import Error
 
 _DIGITS = 4  # maximum length of a figure without its sign
 _MIN_SHOWN = 1e-4  # passing figures below this are shown as 0
@@ -27,31 +36,26 @@ _MIN_SHOWN = 1e-4  # passing figures below this are shown as 0
 
 def properties(properties_by_law: Mapping[str, Properties], *, full: bool = False) -> ResultTable:
     """Return figure and verdict of each joint, by law and check; `full` names checks."""
+    heads = [expectation.short for expectation in EXPECTATIONS.values()]
+    if full:
+        heads = [expectation.title for expectation in EXPECTATIONS.values()]
+    rows = []
+    for name, law_properties in properties_by_law.items():
+        cells = [_cell(law_properties, expectation) for expectation in EXPECTATIONS.values()]
+        rows.append(make_row(title(name), *cells))
     return ResultTable(
         caption="Physics checks by law, one mark per joint: ✓ pass, ✗ fail",
-        head=(
-            "law",
-            *(
-                expectation.title if full else expectation.short
-                for expectation in EXPECTATIONS.values()
-            ),
-        ),
-        rows=[
-            make_row(
-                title(name),
-                *(_cell(properties, expectation) for expectation in EXPECTATIONS.values()),
-            )
-            for name, properties in properties_by_law.items()
-        ],
+        head=("law", *heads),
+        rows=rows,
     )
 
 
 def find_most_passing(properties_by_law: Mapping[str, Properties]) -> tuple[list[str], int]:
     """Return the laws that pass the most checks on all joints, and the number of these."""
-    max_passed = max(properties.passed for properties in properties_by_law.values())
-    return [
-        name for name, properties in properties_by_law.items() if properties.passed == max_passed
-    ], max_passed
+    passed_counts = {name: properties.passed for name, properties in properties_by_law.items()}
+    max_passed = max(passed_counts.values())
+    laws = [name for name, passed_count in passed_counts.items() if passed_count == max_passed]
+    return laws, max_passed
 
 
 def legend(sliding: Sequence[bool] = ()) -> ResultTable:
@@ -96,12 +100,15 @@ def _cell(properties: Properties, expectation: Expectation) -> TableCell:
 
 
 def _figure(property_result: PropertyResult, expectation: Expectation) -> str:
-    value = property_result.figures[0].value if property_result.figures else None
-    if value is None or property_result.verdict not in ("pass", "fail"):
+    if not property_result.figures or property_result.verdict not in ("pass", "fail"):
+        return ""
+    value = property_result.figures[0].value
+    if value is None:
         return ""
     scaled = expectation.factor * value
-    is_small = abs(scaled) < _MIN_SHOWN and property_result.verdict == "pass"
-    return _shorten_number(0.0 if is_small else scaled)
+    if abs(scaled) < _MIN_SHOWN and property_result.verdict == "pass":
+        return _shorten_number(0.0)
+    return _shorten_number(scaled)
 
 
 def _shorten_number(value: float) -> str:
@@ -126,14 +133,21 @@ def _joints(robot: Robot) -> ResultTable:
     axes = {frame.name: rotation @ frame.axis for frame, (rotation, _) in places}
     rows = []
     for j, (name, slides) in enumerate(zip(robot.joints, robot.slides, strict=True)):
-        has_limits = np.isfinite([lower[j], speed[j], torque[j]]).any()
+        source = "not stated"
+        if np.isfinite([lower[j], speed[j], torque[j]]).any():
+            source = robot.description.model.name
+        positions = "–"
+        if np.isfinite(lower[j]):
+            positions = f"{lower[j]:.4g} to {upper[j]:.4g}"
+        axis = np.round(axes[name], 6) + 0.0  # the sum turns -0 into 0
         rows.append(
             make_row(
                 f"{name} [{unit_of_joint('rad', is_prismatic=slides)}]",
-                " ".join(f"{x:.3g}" for x in np.round(axes[name], 6) + 0.0),
-                f"{lower[j]:.4g} to {upper[j]:.4g}" if np.isfinite(lower[j]) else "–",
-                *map(_format_finite, (speed[j], torque[j])),
-                robot.description.model.name if has_limits else "not stated",
+                " ".join(f"{x:.3g}" for x in axis),
+                positions,
+                _format_finite(speed[j]),
+                _format_finite(torque[j]),
+                source,
                 _format_finite(gears[j]),
             )
         )
@@ -143,7 +157,9 @@ def _joints(robot: Robot) -> ResultTable:
 
 
 def _format_finite(value: float) -> str:
-    return f"{value:.4g}" if np.isfinite(value) else "–"
+    if not np.isfinite(value):
+        return "–"
+    return f"{value:.4g}"
 
 
 def _links(robot: Robot) -> ResultTable:
@@ -184,27 +200,34 @@ def convention(name: str, errors: "Convention") -> ResultTable:
     """Return the error of each input setting of an FMU, by joint."""
     from fmu_src.friction.reference import SETTINGS
 
-    torque, speed = (unit_of_joints(unit, errors.sliding) for unit in ("N.m", "rad/s"))
-    rows = []
-    for truth_label, by_setting in (
-        ("against the replay of a log", errors.replay),
-        ("against continuous time", errors.continuous),
-    ):
-        rows.append(make_row(truth_label))
-        for setting, joint_errors in by_setting.items():
-            cells = [
-                fixed_cell(error.rmse, 3, notes=(fixed_cell(error.rmse_reversal, 3).text,))
-                for error in joint_errors
-            ]
-            rows.append(make_row(setting, *cells))
+    rows = [
+        make_row("against the replay of a log"),
+        *_make_setting_rows(errors.replay),
+        make_row("against continuous time"),
+        *_make_setting_rows(errors.continuous),
+    ]
+    speeds = ", ".join(f"{speed:.3g}" for speed in errors.speeds)
+    settings = "; ".join(f"{setting_name}: {text}" for setting_name, text in SETTINGS.items())
+    torque_unit = unit_of_joints("N.m", errors.sliding)
     return ResultTable(
-        caption=f"{name}: RMSE [{torque}] of all rows; small: within 0.1 s of reversals",
+        caption=f"{name}: RMSE [{torque_unit}] of all rows; small: within 0.1 s of reversals",
         head=("inputs", *joints(len(errors.joints))),
         rows=rows,
-        note=f"Velocity: a sine of {errors.frequency:g} Hz and "
-        f"{', '.join(f'{v:.3g}' for v in errors.speeds)} {speed}, in steps of {errors.step:g} s. "
-        + "; ".join(f"{setting_name}: {text}" for setting_name, text in SETTINGS.items()),
+        note=f"Velocity: a sine of {errors.frequency:g} Hz and {speeds} "
+        f"{unit_of_joints('rad/s', errors.sliding)}, in steps of {errors.step:g} s. {settings}",
     )
+
+
+def _make_setting_rows(errors_by_setting: "Mapping[str, Sequence[Error]]") -> list[TableRow]:
+    """Return the row of each input setting: its errors by joint."""
+    rows = []
+    for setting, joint_errors in errors_by_setting.items():
+        cells = []
+        for error in joint_errors:
+            reversal_error = fixed_cell(error.rmse_reversal, 3).text
+            cells.append(fixed_cell(error.rmse, 3, notes=(reversal_error,)))
+        rows.append(make_row(setting, *cells))
+    return rows
 
 
 def describe_excesses(
@@ -213,34 +236,40 @@ def describe_excesses(
     """Return one line per joint and input that leaves the trained range."""
     slides = sliding or (False,) * len(names)
     units = {**INPUT_UNITS, TEMPERATURE.name: TEMPERATURE.unit}
-    return "\n".join(
-        f"{joint}: {name} leaves the trained range in {100.0 * excess.rows:.1f} % of the rows, by "
-        f"up to {max(excess.below, excess.above):.3g} "
-        f"{unit_of_joint(units[name], is_prismatic=joint_slides)}."
-        for joint, joint_excesses, joint_slides in zip(names, excesses, slides, strict=True)
-        for name, excess in joint_excesses.items()
-    )
+    lines = []
+    for joint, joint_excesses, joint_slides in zip(names, excesses, slides, strict=True):
+        for name, excess in joint_excesses.items():
+            unit = unit_of_joint(units[name], is_prismatic=joint_slides)
+            lines.append(
+                f"{joint}: {name} leaves the trained range in {100.0 * excess.rows:.1f} % of the "
+                f"rows, by up to {max(excess.below, excess.above):.3g} {unit}."
+            )
+    return "\n".join(lines)
 
 
 def rigid_body(body: RigidBody, sliding: Sequence[bool] = ()) -> str:
     """Return a summary of the rigid body."""
     rotors = sum(name.endswith(".Ir") for name in body.names)
-    rotor_text = f" ({rotors} of them rotor inertias)" if rotors else ""
+    rotor_text = ""
+    if rotors:
+        rotor_text = f" ({rotors} of them rotor inertias)"
     errors = ", ".join(f"{e:.3g}" for e in body.rmse)
     sentence = (
         f"Rigid body: {len(body.base)} base parameters of {len(body.names)}{rotor_text}, condition "
         f"{body.condition:.3g}, from {', '.join(body.logs)}; residual RMSE {errors} "
         f"{unit_of_joints('N.m', sliding)}."
     )
-    choice = [body.sentence] if body.sentence else []
-    return "\n".join([sentence, *choice, *map(_gear, body.gears)])
+    lines = [sentence]
+    if body.sentence:
+        lines.append(body.sentence)
+    return "\n".join([*lines, *map(_gear, body.gears)])
 
 
 def _gear(gear: ElasticGear) -> str:
-    parameter_texts = {
-        name: " +- ".join(f"{float(f'{x:.{n}g}'):.6g}" for x, n in ((value, 4), (1.96 * error, 2)))
-        for name, (value, error) in gear.parameters.items()
-    }
+    parameter_texts = {}
+    for name, (value, error) in gear.parameters.items():
+        half_width = _round_digits(1.96 * error, 2)
+        parameter_texts[name] = f"{_round_digits(value, 4)} +- {half_width}"
     stiffness, error = gear.parameters["stiffness"]
     if 1.96 * error > 0.2 * stiffness:
         return (
@@ -249,3 +278,9 @@ def _gear(gear: ElasticGear) -> str:
         )
     parameters = ", ".join(f"{name} {text}" for name, text in parameter_texts.items())
     return f"Gear of {gear.joint} [SI]: {parameters}."
+
+
+def _round_digits(value: float, digits: int) -> str:
+    """Return a number with significant digits, without an exponent below a million."""
+    rounded = float(f"{value:.{digits}g}")
+    return f"{rounded:.6g}"

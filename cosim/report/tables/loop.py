@@ -33,37 +33,39 @@ TABLE_III = {
 
 def table_ii(joints: Sequence[str]) -> ResultTable:
     """Return Table II."""
+    rows = []
+    for law_name, errors in TABLE_II.items():
+        cells = [number(error, 4) for error in errors]
+        rows.append(make_row(title(law_name), *cells))
     return ResultTable(
         caption="Table II of the paper: RMSE of the predicted torque [N.m] on the measured robot",
         head=("law", *joints),
-        rows=[
-            make_row(title(law_name), *(number(v, 4) for v in row))
-            for law_name, row in TABLE_II.items()
-        ],
+        rows=rows,
     )
 
 
 def table_iii(joints: Sequence[str]) -> ResultTable:
     """Return Table III."""
+    rows = []
+    for law_name, errors in TABLE_III.items():
+        cells = [mrad(error, 1) for error in errors]
+        rows.append(make_row(title(law_name), *cells))
     return ResultTable(
         caption="Table III of the paper: RMSE of tracking [mrad] on the measured robot",
         head=("torque model", *joints),
-        rows=[
-            make_row(title(law_name), *(mrad(v, 1) for v in row))
-            for law_name, row in TABLE_III.items()
-        ],
+        rows=rows,
     )
 
 
 def outcome(loop_outcome: LoopOutcome) -> list[table.ResultTable]:
     """Return all tables of a closed loop."""
     tables = [tracking("Tracking: RMSE [mrad], mean over the motions", loop_outcome.tracking)]
-    tables += (
-        [tracking("One long motion: RMSE [mrad]", loop_outcome.long)] if loop_outcome.long else []
-    )
+    if loop_outcome.long:
+        tables.append(tracking("One long motion: RMSE [mrad]", loop_outcome.long))
     tables += sweeps(loop_outcome.sweeps)
-    overcompensations = loop_outcome.overcompensation
-    return [*tables, *([overcompensation(overcompensations)] if overcompensations else [])]
+    if loop_outcome.overcompensation:
+        tables.append(overcompensation(loop_outcome.overcompensation))
+    return tables
 
 
 def tracking(caption: str, rows: Sequence[Tracked]) -> table.ResultTable:
@@ -78,7 +80,9 @@ def tracking(caption: str, rows: Sequence[Tracked]) -> table.ResultTable:
                 notes = row.last[0] if is_single else row.spread
                 cells = [mrad(*values) for values in zip(row.mean, digits, notes, strict=True)]
                 table_rows.append(table.make_row(table.title(row.law), *cells))
-    small = "mean error of its last tenth" if is_single else "spread over the motions"
+    small = "spread over the motions"
+    if is_single:
+        small = "mean error of its last tenth"
     return table.ResultTable(
         caption=f"{caption}; small: {small}",
         head=("torque model", *table.joints(len(rows[0].mean))),
@@ -96,14 +100,15 @@ def sweeps(rows: Sequence[Tracked]) -> list[table.ResultTable]:
             if replace(row.scheme, change="") == scheme
         }
         laws = list(dict.fromkeys(law for _, law in worst_errors))
+        table_rows = []
+        for change in dict.fromkeys(change for change, _ in worst_errors):
+            cells = [mrad(worst_errors[change, law], 2) for law in laws]
+            table_rows.append(table.make_row(change, *cells))
         tables.append(
             table.ResultTable(
                 caption=f"{scheme.title}: RMSE of the worst joint [mrad] under changes",
                 head=("change", *map(table.title, laws)),
-                rows=[
-                    table.make_row(change, *(mrad(worst_errors[change, law], 2) for law in laws))
-                    for change in dict.fromkeys(change for change, _ in worst_errors)
-                ],
+                rows=table_rows,
             )
         )
     return tables
@@ -115,17 +120,10 @@ def following(errors: Following, sliding: Sequence[bool]) -> table.ResultTable |
         return None
     rows = []
     for row in errors.rows:
-        columns = 1e3 * np.array([row.error, row.low, row.high]).T
-        cells = [
-            table.number(
-                error,
-                2,
-                notes=(
-                    f"{table.format_significant(low, 2)} to {table.format_significant(high, 2)}",
-                ),
-            )
-            for error, low, high in columns
-        ]
+        cells = []
+        for error, low, high in 1e3 * np.array([row.error, row.low, row.high]).T:
+            interval = f"{table.format_significant(low, 2)} to {table.format_significant(high, 2)}"
+            cells.append(table.number(error, 2, notes=(interval,)))
         rows.append(table.make_row(table.title(row.command), *cells))
     return table.ResultTable(
         caption=f"Following error on {errors.log}, RMS [m{unit_of_joints('rad', sliding)}]; small: "
@@ -137,12 +135,10 @@ def following(errors: Following, sliding: Sequence[bool]) -> table.ResultTable |
 
 def benefit(following_errors: Following, sliding: Sequence[bool]) -> str:
     """Return how the recommended law reduces the following error where it does most, or why not."""
+    if not following_errors.rows and not following_errors.missing:
+        return ""
     if not following_errors.rows:
-        return (
-            f"The following error was not predicted: {following_errors.missing}."
-            if following_errors.missing
-            else ""
-        )
+        return f"The following error was not predicted: {following_errors.missing}."
     first = following_errors.rows[0]
     last = following_errors.rows[-1]
     ratios = [new / old for new, old in zip(last.error, first.error, strict=True)]
@@ -160,18 +156,16 @@ def benefit(following_errors: Following, sliding: Sequence[bool]) -> str:
 
 def overcompensation(overcompensations: Sequence[Overcompensation]) -> table.ResultTable:
     """Return the friction factor above which an arm at rest cycles."""
+    rows = []
+    for case in overcompensations:
+        cell = table.TableCell(text="none up to 3")
+        if case.factor is not None:
+            cell = table.number(case.factor, 2)
+        rows.append(table.make_row(f"{table.title(case.law)}: {case.scheme.title}", cell))
     return table.ResultTable(
         caption="Minimum factor on the friction torque at which the arm at rest begins to cycle",
         head=("law and scheme", "factor"),
-        rows=[
-            table.make_row(
-                f"{table.title(case.law)}: {case.scheme.title}",
-                table.TableCell(text="none up to 3")
-                if case.factor is None
-                else table.number(case.factor, 2),
-            )
-            for case in overcompensations
-        ],
+        rows=rows,
     )
 
 

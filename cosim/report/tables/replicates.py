@@ -12,7 +12,7 @@ from cosim.report.tables.table import (
     title,
 )
 from cosim.study.replicates import Replicates
-from cosim.study.scores import MEASURED_START, ORACLE
+from cosim.study.scores import is_usable
 from hesr_model.inference.replicates import ErrorSplit
 from hesr_model.units import unit_of_joints
 
@@ -23,21 +23,21 @@ def split_of_laws(
     name: str, replicates: Replicates, laws: Sequence[str], sliding: Sequence[bool] = ()
 ) -> ResultTable:
     """Return the parts of the error that repeat or do not, and the gain left, by joint."""
-    shorts = joints(len(replicates.joints))
     splits = [replicates.laws[law_name][j] for j, law_name in enumerate(laws)]
     places = decimals([split.rmse for split in splits])
     rows = []
-    for j, (short, law_name, split) in enumerate(zip(shorts, laws, splits, strict=True)):
-        fast = replicates.fast[law_name][j] if law_name in replicates.fast else None
+    for j, short in enumerate(joints(len(replicates.joints))):
+        split = splits[j]
+        fast_splits = replicates.fast.get(laws[j])
         interval = f"{100.0 * split.low:.0f} to {100.0 * split.high:.0f}"
         cells = [
-            TableCell(text=title(law_name)),
+            TableCell(text=title(laws[j])),
             fixed_cell(split.rmse, places),
             fixed_cell(100.0 * split.repeats, 0, notes=(interval,)),
             fixed_cell(100.0 * split.smooth, 0),
             fixed_cell(100.0 * split.noise, 0),
             fixed_cell(split.left_to_gain, 2),
-            _fast_cell(fast),
+            _fast_cell(fast_splits[j] if fast_splits else None),
         ]
         rows.append(make_row(short, *cells))
     unit = unit_of_joints("N.m", sliding)
@@ -70,24 +70,26 @@ def _fast_cell(split: ErrorSplit | None) -> TableCell:
 
 def shares_of_laws(name: str, replicates: Replicates) -> ResultTable:
     """Return the share of the squared error that repeats, by law and joint."""
-
-    def cell(split: ErrorSplit) -> TableCell:
-        return fixed_cell(100.0 * split.repeats, 0, notes=(f"× {split.left_to_gain:.2f}",))
-
+    rows = []
+    for law_name, splits in replicates.laws.items():
+        rows.append(make_row(title(law_name), *map(_share_cell, splits)))
     return ResultTable(
         caption=f"{name}: squared error that repeats [%]; small: RMSE that is left to gain at "
         f"most, over that of the law; from {_describe(replicates)}",
         head=("law", *joints(len(replicates.joints))),
-        rows=[
-            make_row(title(law_name), *(cell(split) for split in splits))
-            for law_name, splits in replicates.laws.items()
-        ],
+        rows=rows,
     )
+
+
+def _share_cell(split: ErrorSplit) -> TableCell:
+    return fixed_cell(100.0 * split.repeats, 0, notes=(f"× {split.left_to_gain:.2f}",))
 
 
 def describe_gains(replicates: Replicates, laws: Sequence[str]) -> list[str]:
     """Return one sentence per joint about the error of its law."""
-    kind = "between replicates" if replicates.period is None else "from period to period"
+    kind = "from period to period"
+    if replicates.period is None:
+        kind = "between replicates"
     sentences = []
     for j, (short, law_name) in enumerate(zip(joints(len(laws)), laws, strict=True)):
         split = replicates.laws[law_name][j]
@@ -133,20 +135,20 @@ def describe_replicates(
 
 def choose_laws(replicates: Replicates, laws: Sequence[str]) -> list[str]:
     """Return the given law of each joint, or the one with the lowest error if it has no split."""
-    candidates = [
-        law_name
-        for law_name in replicates.laws
-        if law_name != ORACLE and not law_name.endswith(MEASURED_START)
-    ]
-    chosen = []
+    candidates = list(filter(is_usable, replicates.laws))
+    chosen_laws = []
     for j in range(len(replicates.joints)):
         errors = {law_name: replicates.laws[law_name][j].rmse for law_name in candidates}
-        law_name = laws[j] if j < len(laws) else ""
-        chosen.append(law_name if law_name in errors else min(errors, key=lambda law: errors[law]))
-    return chosen
+        chosen_law = min(errors, key=lambda law_name: errors[law_name])
+        if j < len(laws) and laws[j] in errors:
+            chosen_law = laws[j]
+        chosen_laws.append(chosen_law)
+    return chosen_laws
 
 
 def _describe(replicates: Replicates) -> str:
     share = 100.0 * replicates.rows / replicates.all_rows
-    period = "" if replicates.period is None else f", {replicates.period:.3g} s apart"
+    period = ""
+    if replicates.period is not None:
+        period = f", {replicates.period:.3g} s apart"
     return f"{replicates.count:g} replicates{period} ({share:.0f} % of the rows)"

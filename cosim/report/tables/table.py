@@ -27,14 +27,17 @@ class TableCell:
     @property
     def side_note(self) -> str:
         """Notes in one line."""
-        return " ".join((*self.notes[:1], *(f"({note})" for note in self.notes[1:])))
+        further_notes = [f"({note})" for note in self.notes[1:]]
+        return " ".join([*self.notes[:1], *further_notes])
 
     @property
     def marked(self) -> list[tuple[str, str]]:
         """Marks with their lines; only one if no joint has a result."""
         pairs = list(zip(self.marks, self.text.split("\n"), strict=True))
         has_no_result = len(set(self.marks)) == 1 and self.marks[0] in ("not applicable", "not run")
-        return pairs[:1] if has_no_result else pairs
+        if has_no_result:
+            return pairs[:1]
+        return pairs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,12 +73,18 @@ class ResultTable:
     @property
     def noted(self) -> bool:
         """Whether some cells have notes."""
-        return any(cell.notes for row in self.rows for cell in row.cells)
+        return any(_have_notes(row.cells) for row in self.rows)
 
     @property
     def width(self) -> int:
         """Number of columns, including those of notes."""
-        return 2 * len(self.head) - 1 if self.noted else len(self.head)
+        if self.noted:
+            return 2 * len(self.head) - 1
+        return len(self.head)
+
+
+def _have_notes(cells: Iterable[TableCell]) -> bool:
+    return any(cell.notes for cell in cells)
 
 
 def joints(count: int) -> tuple[str, ...]:
@@ -102,7 +111,9 @@ def title(law_name: str) -> str:
         return StandIn(law_name).words
     laws = registry()
     name = law_name.removesuffix(MEASURED_START)
-    return laws[name].title + law_name[len(name) :] if name in laws else law_name
+    if name not in laws:
+        return law_name
+    return laws[name].title + law_name[len(name) :]
 
 
 def number(value: float | None, digits: int = 3, *, notes: tuple[str, ...] = ()) -> TableCell:
@@ -124,15 +135,20 @@ def fixed_cell(
 
 def decimals(values: Iterable[float | None], digits: int = 3) -> int:
     """Return the decimals that show the smallest number."""
+    # NaN is not equal to itself; 0 has no first digit.
     sizes = [abs(v) for v in values if v is not None and v == v and v != 0.0]
-    return max(0, digits - 1 - floor(log10(min(sizes)))) if sizes else 0
+    if not sizes:
+        return 0
+    return max(0, digits - 1 - floor(log10(min(sizes))))
 
 
 def format_significant(value: float, digits: int = 3) -> str:
     """Return a number with significant digits, including trailing zeros."""
     text = f"{value:#.{digits}g}"
-    if "e" in text:
-        text = f"{value:.{digits - 1}e}" if not 1e-4 <= abs(value) < 1e6 else f"{value:.0f}"
+    if "e" in text and 1e-4 <= abs(value) < 1e6:
+        text = f"{value:.0f}"
+    elif "e" in text:
+        text = f"{value:.{digits - 1}e}"
     return text.rstrip(".").replace("-", "−")
 
 
@@ -140,22 +156,30 @@ def csv_text(table: ResultTable) -> str:
     """Return a table as CSV; a missing number is empty, notes and row groups have columns."""
     has_groups = any(not row.cells for row in table.rows)
     columns = zip(*(row.cells for row in table.rows if row.cells), strict=True)
-    columns_have_notes = [any(cell.notes for cell in column) for column in columns]
-    text = StringIO()
-    writer = csv.writer(text, lineterminator="\n")
+    columns_have_notes = list(map(_have_notes, columns))
     head = [table.head[0]]
     for name, has_notes in zip(table.head[1:], columns_have_notes, strict=True):
-        head += [name, f"{name}: note"] if has_notes else [name]
-    writer.writerow(["group", *head] if has_groups else head)
+        head.append(name)
+        if has_notes:
+            head.append(f"{name}: note")
+    lines = [head]
     group = ""
+    groups = ["group"]
     for row in table.rows:
         if not row.cells:
             group = _to_plain_text(row.head)
             continue
         fields = [_to_plain_text(row.head)]
         for cell, has_notes in zip(row.cells, columns_have_notes, strict=True):
-            fields += [_value(cell), *(["; ".join(cell.notes)] if has_notes else [])]
-        writer.writerow([group, *fields] if has_groups else fields)
+            fields.append(_value(cell))
+            if has_notes:
+                fields.append("; ".join(cell.notes))
+        lines.append(fields)
+        groups.append(group)
+    if has_groups:
+        lines = [[name, *fields] for name, fields in zip(groups, lines, strict=True)]
+    text = StringIO()
+    csv.writer(text, lineterminator="\n").writerows(lines)
     return text.getvalue()
 
 
@@ -164,35 +188,55 @@ def _value(cell: TableCell) -> str:
         return str(cell.value)
     if cell.marks:
         return "; ".join(f"{mark} {figure}".strip() for mark, figure in cell.marked)
-    return "" if cell.text == "–" else _to_plain_text(cell.text)
+    if cell.text == "–":
+        return ""
+    return _to_plain_text(cell.text)
 
 
 def _to_plain_text(text: str | Markup) -> str:
-    return text.striptags() if isinstance(text, Markup) else str(text)
+    if isinstance(text, Markup):
+        return text.striptags()
+    return str(text)
 
 
 def markdown(table: ResultTable) -> str:
     """Return a table with its caption; notes follow in brackets."""
-    alignment = "---:" if table.numeric else "---"
-    alignments = [
-        alignment if k and k not in table.words else "---" for k in range(len(table.head))
-    ]
-    rows = [
-        (f"**{row.head}**" if not row.cells else str(row.head), *map(_text, row.cells))
-        for row in table.rows
-    ]
-    padded_rows = [(*row, *[""] * (len(table.head) - len(row))) for row in rows]
-    escaped_rows = (
-        [cell.replace("|", r"\|") for cell in row] for row in (table.head, alignments, *padded_rows)
-    )
-    lines = [f"| {' | '.join(row)} |" for row in escaped_rows]
-    caption_text = table.caption.replace("; small: ", "; in brackets: ")
-    caption = [f"{caption_text}.", ""] if caption_text else []
-    return "\n".join([*caption, *lines, *(["", table.note] if table.note else [])]) + "\n"
+    lines = []
+    if table.caption:
+        caption = table.caption.replace("; small: ", "; in brackets: ")
+        lines += [f"{caption}.", ""]
+    alignments = [_align(table, k) for k in range(len(table.head))]
+    lines += [_join_cells(table.head), _join_cells(alignments)]
+    for row in table.rows:
+        head = str(row.head) if row.cells else f"**{row.head}**"
+        texts = [head, *map(_text, row.cells)]
+        missing_count = len(table.head) - len(texts)
+        lines.append(_join_cells([*texts, *[""] * missing_count]))
+    if table.note:
+        lines += ["", table.note]
+    return "\n".join(lines) + "\n"
+
+
+def _align(table: ResultTable, column: int) -> str:
+    """Return the mark of Markdown that aligns a column: numbers to the right."""
+    if table.numeric and column > 0 and column not in table.words:
+        return "---:"
+    return "---"
+
+
+def _join_cells(texts: Sequence[str]) -> str:
+    """Return a line of a table of Markdown."""
+    escaped_texts = [text.replace("|", r"\|") for text in texts]
+    return f"| {' | '.join(escaped_texts)} |"
 
 
 def _text(cell: TableCell) -> str:
+    """Return a cell as Markdown."""
     if cell.marks:
         return "<br>".join(f"{line}{MARKS[mark]}" for mark, line in cell.marked)
-    text = f"**{cell.text}**" if cell.best else cell.text
-    return f"{text} ({', '.join(cell.notes)})" if cell.notes else text
+    text = cell.text
+    if cell.best:
+        text = f"**{text}**"
+    if cell.notes:
+        text += f" ({', '.join(cell.notes)})"
+    return text

@@ -1,6 +1,7 @@
 """Tables in a terminal; columns that do not fit follow in further blocks."""
 
 from collections.abc import Iterator, Sequence
+from itertools import chain
 
 from rich import box
 from rich.cells import cell_len
@@ -18,11 +19,10 @@ def show(*contents: "ResultTable | str") -> None:
     """Print tables and text."""
     console = Console()
     for table_or_text in contents:
-        console.print(
-            TerminalTable(table_or_text)
-            if isinstance(table_or_text, ResultTable)
-            else table_or_text
-        )
+        if isinstance(table_or_text, ResultTable):
+            console.print(TerminalTable(table_or_text))
+        else:
+            console.print(table_or_text)
 
 
 class TerminalTable:
@@ -30,10 +30,11 @@ class TerminalTable:
 
     def __init__(self, table: ResultTable) -> None:
         self._table = table
-        self._heads = [
-            Text(str(row.head), style="" if row.cells else "italic") for row in table.rows
-        ]
-        self._cells = [[_text(cell) for cell in row.cells] for row in table.rows]
+        self._heads = []
+        self._cells = []
+        for row in table.rows:
+            self._heads.append(Text(str(row.head), style="" if row.cells else "italic"))
+            self._cells.append(list(map(_text, row.cells)))
 
     def __rich_console__(self, _: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
         """Yield the caption, a table for each block of columns, and the note."""
@@ -41,7 +42,10 @@ class TerminalTable:
             yield Text(self._table.caption, style="bold")
         for widths in self._blocks(options.max_width):
             yield self._block(widths)
-        yield Text(f"{self._table.note}\n" if self._table.note else "")
+        note = ""
+        if self._table.note:
+            note = f"{self._table.note}\n"
+        yield Text(note)
 
     def _blocks(self, max_width: int) -> Iterator[dict[int, int | None]]:
         head = self._table.head
@@ -83,7 +87,8 @@ class TerminalTable:
 
 
 def _width(texts: Sequence[Text]) -> int:
-    return max((cell_len(line) for text in texts for line in text.plain.split("\n")), default=0)
+    lines = chain.from_iterable(text.plain.split("\n") for text in texts)
+    return max(map(cell_len, lines), default=0)
 
 
 def _text(cell: TableCell) -> Text:
