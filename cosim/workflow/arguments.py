@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import chain
 from numbers import Real
 from os import PathLike
 from pathlib import Path
@@ -64,8 +65,8 @@ def list_names(name: str, texts: Names, *, commas: bool = False) -> list[str]:
     names: list[str] = list_items(name, texts, (str,), "text, or a sequence of texts")
     if not commas:
         return names
-    parts = [part.strip() for text in names for part in text.split(",")]
-    return [part for part in parts if part]
+    parts = chain.from_iterable(text.split(",") for text in names)
+    return list(filter(None, map(str.strip, parts)))
 
 
 def list_paths(name: str, files: Paths) -> list[Path]:
@@ -76,7 +77,9 @@ def list_paths(name: str, files: Paths) -> list[Path]:
 
 def to_optional_path(name: str, file: PathArg | None) -> Path | None:
     """Return text or a path as a Path, and None as None."""
-    return None if file is None else to_path(file, f"'{name}'")
+    if file is None:
+        return None
+    return to_path(file, f"'{name}'")
 
 
 def to_optional_output(name: str, file: PathArg | None) -> Path | None:
@@ -135,7 +138,9 @@ def logs_unless_table(data: object) -> list[LogSource] | None:
     """Return one or several logs as a list, None for a table of motion."""
     from hesr_model.logs.robot_log import Log  # slow to import
 
-    items: list[Any] = list(data) if isinstance(data, list | tuple | Iterator) else [data]
+    items: list[Any] = [data]
+    if isinstance(data, list | tuple | Iterator):
+        items = list(data)
     if not items or not all(isinstance(item, Log | str | PathLike) for item in items):
         return None
     return _to_sources(items)
@@ -247,7 +252,9 @@ def read_logs(
     """Return logs, reading those that are paths, which needs a robot."""
     from hesr_model.logs.robot_log import Log
 
-    robot_of_paths = _find_first_robot(sources) if robot is None else robot
+    robot_of_paths = robot
+    if robot_of_paths is None:
+        robot_of_paths = _find_first_robot(sources)
     logs = []
     for source in report_progress(sources, progress, _source_name):
         if isinstance(source, Log):
@@ -268,17 +275,21 @@ def _find_first_robot(sources: Iterable[LogSource]) -> RobotDescription | None:
 
 
 def _source_name(source: LogSource) -> str:
-    return str(source) if isinstance(source, Path) else source.name
+    if isinstance(source, Path):
+        return str(source)
+    return source.name
 
 
 def find_robot(robot: RobotArg | None, logs: Sequence[Log]) -> Robot:
     """Return the given robot, by default that of the logs."""
     from hesr_model.robots.robot import to_robot
 
-    chosen = _find_first_robot(logs) if robot is None else robot
-    if chosen is None:
+    if robot is not None:
+        return to_robot(robot)
+    robot_of_logs = _find_first_robot(logs)
+    if robot_of_logs is None:
         raise ArgumentError("the logs do not name their robot; give 'robot'.")
-    return to_robot(chosen)
+    return to_robot(robot_of_logs)
 
 
 def _open_long_logs(sources: Sequence[LogSource], robot: RobotArg | None) -> list[LongLog]:
@@ -315,30 +326,42 @@ def read_checked_logs(
     Only some rows of long logs are read and checked if the others can be read `in_pieces`. Logs
     without torque are refused, unless the caller takes the way `from_commands` for them.
     """
-    from hesr_model.findings import log_findings
     from hesr_model.robots.robot import to_robot
 
     require_items("logs", sources)
-    long_logs = _open_long_logs(sources, robot) if in_pieces else []
-    piece_logs = [log for long_log in long_logs for log in long_log.checked_pieces]
-    stated_robot = None if robot is None else to_robot(robot)
+    long_logs: list[LongLog] = []
+    if in_pieces:
+        long_logs = _open_long_logs(sources, robot)
+    piece_logs: list[LogSource] = []
+    for long_log in long_logs:
+        piece_logs += long_log.checked_pieces
+    stated_robot = None
+    if robot is not None:
+        stated_robot = to_robot(robot)
     logs = read_logs(piece_logs or sources, stated_robot, partial(progress, "reading logs"))
     checked_robot = stated_robot or find_robot(None, logs)
     require_one_way(logs, from_commands=from_commands)
     findings = require_healthy(logs, checked_robot, accept)
     for long_log in long_logs:
-        if long_log.gaps:
-            from hesr_model.health.examine import add_log_name
-            from hesr_model.health.positions import report_gaps
-            from hesr_model.health.referee import state
-
-            gaps = report_gaps(long_log.gaps, long_log.longest_step, len(long_log.starts))
-            findings += log_findings(state(add_log_name(long_log.checked_pieces[0], [gaps])))
+        findings += _report_gaps(long_log)
     log_paths = [log.path for log in logs if log.path]
     files = dict.fromkeys([*paths_among(robot), checked_robot.description.model, *log_paths])
     return CheckedLogs(
         logs=logs, robot=checked_robot, findings=findings, files=list(files), long_logs=long_logs
     )
+
+
+def _report_gaps(long_log: LongLog) -> list[Finding]:
+    """Log and return what the gaps of a long log mean; its pieces do not show them."""
+    from hesr_model.findings import log_findings
+    from hesr_model.health.examine import add_log_name
+    from hesr_model.health.positions import report_gaps
+    from hesr_model.health.referee import state
+
+    if not long_log.gaps:
+        return []
+    gaps = report_gaps(long_log.gaps, long_log.longest_step, len(long_log.starts))
+    return log_findings(state(add_log_name(long_log.checked_pieces[0], [gaps])))
 
 
 def require_one_way(logs: Sequence[Log], *, from_commands: bool) -> None:
@@ -388,7 +411,9 @@ def read_body(body: BodyArg) -> RigidBody:
     """Return a rigid body; a path is read."""
     from hesr_model.rigid_body.identification import RigidBody
 
-    return body if isinstance(body, RigidBody) else RigidBody.read(to_path(body, "'rigid_body'"))
+    if isinstance(body, RigidBody):
+        return body
+    return RigidBody.read(to_path(body, "'rigid_body'"))
 
 
 def build_plant_body(robot: RobotArg, body: BodyArg | None) -> PlantBody:
@@ -396,14 +421,19 @@ def build_plant_body(robot: RobotArg, body: BodyArg | None) -> PlantBody:
     from fmu_src.plant.plant_fmu import PlantBody
     from hesr_model.robots.robot import to_robot
 
-    return PlantBody.from_robot(to_robot(robot), None if body is None else read_body(body))
+    rigid_body = None
+    if body is not None:
+        rigid_body = read_body(body)
+    return PlantBody.from_robot(to_robot(robot), rigid_body)
 
 
 def read_model(law: LawArg) -> FrictionModel:
     """Return a friction model; a path or the name of a built-in model is read."""
     from hesr_model.friction.model import FrictionModel
 
-    return law if isinstance(law, FrictionModel) else FrictionModel.read(law)
+    if isinstance(law, FrictionModel):
+        return law
+    return FrictionModel.read(law)
 
 
 def read_laws(laws: NamedLaws) -> list[Subject]:
@@ -430,9 +460,14 @@ def _choose_law_names(sources: Sequence[LawSource], subjects: Sequence[Subject])
     paths = []
     for source, subject in zip(sources, subjects, strict=True):
         path = str(source) if isinstance(source, Path) else source.law
-        stem = path if path in BUILT_IN else Path(path).stem
-        is_model = subject.model is not None and subject.fmu is None and path not in BUILT_IN
-        law_names.append(subject.model.law if subject.model and is_model else stem)
+        stem = Path(path).stem
+        law_name = stem
+        if path in BUILT_IN:  # such a name is no file
+            stem = path
+            law_name = path
+        elif subject.model and subject.fmu is None:
+            law_name = subject.model.law
+        law_names.append(law_name)
         stems.append(stem)
         paths.append(path)
     return choose_unique_names([law_names, stems, paths], "given")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -41,6 +41,8 @@ if TYPE_CHECKING:
     from hesr_model.findings import Finding
     from hesr_model.fitting.estimator import Estimator
     from hesr_model.friction.model import FrictionModel
+    from hesr_model.rigid_body.friction_record import FrictionRecord
+    from hesr_model.rigid_body.identification import RigidBody
 
 
 def laws() -> Mapping[str, type[Estimator]]:
@@ -137,13 +139,7 @@ def fit(
     >>> hesr.fit(log, law="lugre", rigid_body=body, output="law.json")
     FrictionModel('lugre' of 'my_arm', 3 joints)
     """
-    from cosim.study.law_choice import fit_chosen_laws
-    from cosim.study.scores import transpose_records
-    from hesr_model.findings import log_findings
-    from hesr_model.fitting.days import adapt
     from hesr_model.fitting.estimator import to_law_name
-    from hesr_model.fitting.fit import fit_models
-    from hesr_model.health.examine import check_laws, check_owner
     from hesr_model.inference.choice import CHOOSE
 
     sources = list_logs("logs", logs)
@@ -152,10 +148,7 @@ def fit(
     accepted = list_names("accept", accept)
     output_path = to_optional_output("output", output)
     require_mapping("options", options)
-    refinements = plugins.load("hesr.refinements")
-    for name in additions:
-        if name not in refinements:
-            raise ArgumentError(f"'add' is '{name}'; there are {', '.join(refinements)}.")
+    _require_refinements(additions)
     known_law = to_law_name(law) if isinstance(law, type) else law
     fitted_model = _read_fitted_law(known_law, additions, options, priors)
     checked = read_checked_logs(
@@ -168,41 +161,24 @@ def fit(
         return model
     body = checked.find_body(rigid_body)
     records = checked.compute_records(body, seed)
-    joint_records = transpose_records(records)
-    if fitted_model is None and known_law == CHOOSE:
-        model, _ = fit_chosen_laws(
-            checked.collect_motions(seed),
-            checked.robot,
-            body,
-            identifies_body=rigid_body is None,
-            seed=seed,
-            provenance=_provenance(checked, rigid_body, seed, {}),
-            progress=progress,
-        )
-        model = _add_health(model, check_laws({model.law: model}, joint_records))
-    elif fitted_model is None:
-        law_name = str(known_law)
-        models = fit_models(
-            [law_name],
-            joint_records,
-            robot=checked.robot.description.name,
-            seed=seed,
-            options={law_name: dict(options or {})},
-            provenance=_provenance(checked, rigid_body, seed, options or {}),
-            progress=partial(progress, f"fitting {law_name}"),
-        )
-        model = _add_health(models[law_name], check_laws(models, joint_records))
-    else:
+    torque_fit = _TorqueFit(
+        checked=checked,
+        rigid_body=rigid_body,
+        body=body,
+        records=records,
+        seed=seed,
+        progress=progress,
+    )
+    if fitted_model is not None:
         model = fitted_model
+    elif known_law == CHOOSE:
+        model = torque_fit.choose_laws()
+    else:
+        model = torque_fit.fit_law(str(known_law), options or {})
     if priors:
-        log_findings(check_owner(model, checked.robot))
-        progress("adapting", 0, 1)
-        model, sentences = adapt(model, joint_records)
-        source = _provenance(checked, rigid_body, seed, {})
-        source["prior"] = [str(path) for path in paths_among(*priors)]
-        source["adaptation"] = sentences
-        model = replace(model, provenance=source)
+        model = torque_fit.adapt(model, priors)
     model = replace(model, rigid_body=body)
+    refinements = plugins.load("hesr.refinements")
     for name in additions:
         progress(f"fitting {name}", 0, 1)
         model, sentences = refinements[name].load()(model, records)
@@ -212,6 +188,92 @@ def fit(
     if fitted_model is None:
         _log_new_findings(model, checked)
     return model
+
+
+def _require_refinements(names: Iterable[str]) -> None:
+    """Raise ArgumentError unless plug-ins offer the refinements."""
+    refinements = plugins.load("hesr.refinements")
+    for name in names:
+        if name not in refinements:
+            raise ArgumentError(f"'add' is '{name}'; there are {', '.join(refinements)}.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _TorqueFit:
+    """Fit of laws to logs with torque.
+
+    Attributes
+    ----------
+    checked : logs and robot.
+    rigid_body : rigid body of the caller; None if it is identified from the logs.
+    body : the rigid body.
+    records : friction [part][joint].
+    """
+
+    checked: CheckedLogs
+    rigid_body: BodyArg | None
+    body: RigidBody
+    records: Sequence[Sequence[FrictionRecord]]
+    seed: int
+    progress: Stages
+
+    def choose_laws(self) -> FrictionModel:
+        """Fit the proposed law of each joint that predicts left-out rows best."""
+        from cosim.study.law_choice import fit_chosen_laws
+
+        model, _ = fit_chosen_laws(
+            self.checked.collect_motions(self.seed),
+            self.checked.robot,
+            self.body,
+            identifies_body=self.rigid_body is None,
+            seed=self.seed,
+            provenance=self._provenance({}),
+            progress=self.progress,
+        )
+        return self._check(model.law, model)
+
+    def fit_law(self, law_name: str, options: Mapping[str, Any]) -> FrictionModel:
+        """Fit one law to all joints."""
+        from hesr_model.fitting.fit import fit_models
+
+        models = fit_models(
+            [law_name],
+            self._joint_records(),
+            robot=self.checked.robot.description.name,
+            seed=self.seed,
+            options={law_name: dict(options)},
+            provenance=self._provenance(options),
+            progress=partial(self.progress, f"fitting {law_name}"),
+        )
+        return self._check(law_name, models[law_name])
+
+    def adapt(self, model: FrictionModel, priors: Sequence[LawSource]) -> FrictionModel:
+        """Adapt the model of `priors`, from other days, to the logs."""
+        from hesr_model.findings import log_findings
+        from hesr_model.fitting.days import adapt
+        from hesr_model.health.examine import check_owner
+
+        log_findings(check_owner(model, self.checked.robot))
+        self.progress("adapting", 0, 1)
+        adapted_model, sentences = adapt(model, self._joint_records())
+        source = self._provenance({})
+        source["prior"] = [str(path) for path in paths_among(*priors)]
+        source["adaptation"] = sentences
+        return replace(adapted_model, provenance=source)
+
+    def _check(self, law_name: str, model: FrictionModel) -> FrictionModel:
+        """Return a fitted model with what its checks find in its provenance."""
+        from hesr_model.health.examine import check_laws
+
+        return _add_health(model, check_laws({law_name: model}, self._joint_records()))
+
+    def _joint_records(self) -> list[list[FrictionRecord]]:
+        from cosim.study.scores import transpose_records
+
+        return transpose_records(self.records)
+
+    def _provenance(self, options: Mapping[str, Any]) -> dict[str, Any]:
+        return _provenance(self.checked, self.rigid_body, self.seed, options)
 
 
 def _fit_from_commands(
@@ -348,15 +410,14 @@ def _equations(model: FrictionModel) -> list[str]:
     from hesr_model.friction.law import equations
     from hesr_model.units import unit_of_joint
 
-    errors = model.training_rmse or (None,) * len(model.joints)
     lines = []
-    for joint, law, slides, error in zip(
-        model.joints, model.laws, model.slides, errors, strict=True
-    ):
-        count = len(law.values)
-        text = f"{count} coefficients" if count > MAX_COEFFICIENTS else "; ".join(equations(law))
-        if error is not None:
-            text += f"  (RMSE {error:.3g} {unit_of_joint('N.m', is_prismatic=slides)})"
+    for j, (joint, law) in enumerate(zip(model.joints, model.laws, strict=True)):
+        text = f"{len(law.values)} coefficients"
+        if len(law.values) <= MAX_COEFFICIENTS:
+            text = "; ".join(equations(law))
+        if model.training_rmse:
+            unit = unit_of_joint("N.m", is_prismatic=model.slides[j])
+            text += f"  (RMSE {model.training_rmse[j]:.3g} {unit})"
         lines.append(f"{joint}: {text}")
     return lines
 
@@ -375,9 +436,8 @@ def _coefficients(model: FrictionModel) -> list[str]:
         else:
             condition = "none of chosen structures"
         head = f"95 % intervals (within and between logs; of a single log: that day; {condition}):"
-        paragraphs.append(
-            "\n".join([f"{joint}: {head}", *(f"  {line}" for line in coefficient_lines(law))])
-        )
+        lines = [f"  {line}" for line in coefficient_lines(law)]
+        paragraphs.append("\n".join([f"{joint}: {head}", *lines]))
     return paragraphs
 
 

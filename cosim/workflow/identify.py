@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from cosim.workflow.arguments import BodyArg, CheckedLogs, LawArg, Logs, Names, RobotArg
     from hesr_model.findings import Finding
+    from hesr_model.logs.robot_log import Log
     from hesr_model.rigid_body.identification import RigidBody
     from hesr_model.rigid_body.payload import Payload
 
@@ -114,9 +115,6 @@ def identify(
     """
     from hesr_model.findings import log_findings
     from hesr_model.health.examine import check_body
-    from hesr_model.rigid_body.accumulation import identify_long
-    from hesr_model.rigid_body.choice import identify_from_logs
-    from hesr_model.rigid_body.identification import identify as identify_body
     from hesr_model.rigid_body.refinement import identify_again
 
     forward_sources = list_logs("logs", logs)
@@ -159,19 +157,9 @@ def identify(
             read_model(friction),
             reversed_logs=backward_logs,
         )
-    elif checked.long_logs:
-        identified_body = identify_long(checked.long_logs, checked.robot)
-    elif method == "paper":
-        identified_body = identify_body(
-            forward_logs,
-            checked.robot,
-            method=method,
-            reversed_logs=backward_logs,
-            physical=option == "physical",
-        )
     else:
-        identified_body = identify_from_logs(
-            forward_logs, checked.robot, option, reversed_logs=backward_logs
+        identified_body = _identify_from_torque(
+            checked, forward_logs, backward_logs, method, option
         )
 
     findings = list(check_body(identified_body, checked.robot, checked.logs))
@@ -204,6 +192,31 @@ def _require_compatible(
         raise ArgumentError("'body' and 'physical' exclude 'friction'; give one of them.")
     if method == "paper" and option == "nominal":
         raise ArgumentError("'method' paper excludes 'body' nominal; give one of them.")
+
+
+def _identify_from_torque(
+    checked: CheckedLogs,
+    forward_logs: Sequence[Log],
+    backward_logs: Sequence[Log],
+    method: Method,
+    option: Body,
+) -> RigidBody:
+    """Return the body of logs with torque, by least squares or by the method of the paper."""
+    from hesr_model.rigid_body.accumulation import identify_long
+    from hesr_model.rigid_body.choice import identify_from_logs
+    from hesr_model.rigid_body.identification import identify as identify_body
+
+    if checked.long_logs:
+        return identify_long(checked.long_logs, checked.robot)
+    if method == "paper":
+        return identify_body(
+            forward_logs,
+            checked.robot,
+            method=method,
+            reversed_logs=backward_logs,
+            physical=option == "physical",
+        )
+    return identify_from_logs(forward_logs, checked.robot, option, reversed_logs=backward_logs)
 
 
 def _identify_from_commands(checked: CheckedLogs, progress: Stages) -> RigidBody:
@@ -247,8 +260,10 @@ def answer(body: RigidBody, output: PathArg | None) -> Answer:
     from hesr_model.robots.description import statements
     from hesr_model.support.typed_files import to_json
 
-    payload, sliding = (body.provenance.get(key, ()) for key in ("payload", "sliding"))
-    line = _payload_line(body, payload) if payload else rigid_body(body, sliding)
+    payload = body.provenance.get("payload")
+    line = rigid_body(body, body.provenance.get("sliding", ()))
+    if payload:
+        line = _payload_line(body, payload)
     return Written(
         format="hesr-rigid-body-1",
         lines=[*statements(body.provenance), line],

@@ -47,9 +47,12 @@ if TYPE_CHECKING:
     )
     from fmu_src.friction.predictions import Records
     from fmu_src.pages.datasheet import ModelAudit
+    from hesr_model.audit.certificate import Certificate
     from hesr_model.audit.properties import Properties, Subject
     from hesr_model.findings import Finding
     from hesr_model.friction.model import FrictionModel
+    from hesr_model.rigid_body.friction_record import FrictionRecord
+    from hesr_model.rigid_body.identification import RigidBody
 
 KINDS = ("prediction", "passivity")  # kinds of the core; others are plug-ins
 
@@ -76,7 +79,9 @@ class LawReport(Answer):
 
     def summary(self) -> str:
         """Return the best law, then passivity and failed checks of each law."""
-        lines = _scores_lines(self.scores) if self.scores else []
+        lines = []
+        if self.scores:
+            lines += _scores_lines(self.scores)
         for name, motions in self.motions.items():
             lines += [f"{name}: {errors.sentence}" for errors in motions]
         for law in self.laws:
@@ -92,12 +97,10 @@ class LawReport(Answer):
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return scores, audits, certificates and physics checks."""
-        return [
-            *self._scores_tables(),
-            *self._audit_tables(),
-            *self._property_tables(),
-            *(table for other in self.others.values() for table in other.tables()),
-        ]
+        tables = [*self._scores_tables(), *self._audit_tables(), *self._property_tables()]
+        for other in self.others.values():
+            tables += other.tables()
+        return tables
 
     def _scores_tables(self) -> list[ResultTable | str]:
         from cosim.report.tables.replicates import build_tables
@@ -112,7 +115,9 @@ class LawReport(Answer):
             errors("test", self.scores, measure, inputs, sliding) for measure in MEASURES
         ]
         shown += build_tables({"test": self.replicates}, "test", (), sliding)
-        shown += filter(None, [separations("test", self.scores)])
+        separation_table = separations("test", self.scores)
+        if separation_table:
+            shown.append(separation_table)
         if self.scores.bands:
             shown.append(bands("test", self.scores))
         if self.positions is not None:
@@ -143,38 +148,46 @@ class LawReport(Answer):
 
         if not self.properties:
             return []
-        sliding = [slides for law in self.laws if law.model for slides in law.model.slides]
-        named = self.properties
-        return [tables.properties(named), tables.legend(sliding), tables.reasons(named)]
+        sliding: list[bool] = []
+        for law in self.laws:
+            if law.model:
+                sliding += law.model.slides
+        return [
+            tables.properties(self.properties),
+            tables.legend(sliding),
+            tables.reasons(self.properties),
+        ]
 
     def result(self) -> Any:
         """Return the results of all kinds as JSON data."""
         from hesr_model.support.typed_files import to_json
 
-        motions = {
-            name: [to_json(errors) for errors in log_errors]
-            for name, log_errors in self.motions.items()
+        data: dict[str, Any] = {}
+        if self.motions:  # of logs without torque only
+            data["motion"] = {
+                name: list(map(to_json, log_errors)) for name, log_errors in self.motions.items()
+            }
+        data["prediction"] = self.scores and to_json(self.scores)
+        data["replicates"] = self.replicates and to_json(self.replicates)
+        data["simulation"] = self.positions and to_json(self.positions)
+        data["passivity"] = {
+            name: list(map(_certificate_data, audit.certificates))
+            for name, audit in self.audits.items()
         }
-        return {
-            **({"motion": motions} if motions else {}),  # of logs without torque only
-            "prediction": self.scores and to_json(self.scores),
-            "replicates": self.replicates and to_json(self.replicates),
-            "simulation": self.positions and to_json(self.positions),
-            "passivity": {
-                name: [
-                    {
-                        "verdict": certificate.label,
-                        "storage": certificate.storage,
-                        "rests_on": list(certificate.rests_on),
-                        "sequences": certificate.sequences,
-                    }
-                    for certificate in audit.certificates
-                ]
-                for name, audit in self.audits.items()
-            },
-            "properties": {name: to_json(checks) for name, checks in self.properties.items()},
-            **{kind: other.result() for kind, other in self.others.items()},
-        }
+        data["properties"] = {name: to_json(checks) for name, checks in self.properties.items()}
+        for kind, other in self.others.items():
+            data[kind] = other.result()
+        return data
+
+
+def _certificate_data(certificate: Certificate) -> dict[str, Any]:
+    """Return what proves or refutes the passivity of a joint's law, as JSON data."""
+    return {
+        "verdict": certificate.label,
+        "storage": certificate.storage,
+        "rests_on": list(certificate.rests_on),
+        "sequences": certificate.sequences,
+    }
 
 
 def test(
@@ -252,10 +265,12 @@ def test(
     sources = list_logs("on", on)
     kinds = list_names("kind", kind)
     accepted = list_names("accept", accept)
-    inertias = None if inertia is None else list_numbers("inertia", inertia)
+    inertias = None
+    if inertia is not None:
+        inertias = list_numbers("inertia", inertia)
     output_path = to_optional_output("output", output)
     if not kinds:
-        kinds = ["prediction", "passivity"] if sources else ["passivity"]
+        kinds = _choose_kinds(has_logs=bool(sources))
     for name in kinds:
         require_choice("kind", name, (*KINDS, *plugins.names("hesr.tests")))
     if output_path is not None and "properties" not in kinds:
@@ -273,6 +288,13 @@ def test(
     if "properties" in kinds:
         report = _add_properties(report, inertias, load, output_path, progress)
     return replace(report, others=_run_plugin_tests(kinds, subjects, sources))
+
+
+def _choose_kinds(*, has_logs: bool) -> list[str]:
+    """Return the tests of a call that names none; only logs allow a prediction."""
+    if has_logs:
+        return ["prediction", "passivity"]
+    return ["passivity"]
 
 
 def _run_plugin_tests(
@@ -298,19 +320,6 @@ def _add_scores(
     progress: Stages,
 ) -> LawReport:
     """Add the scores of the laws on logs: FMUs are replayed, models computed."""
-    from cosim.study.position_errors import simulate_tests
-    from cosim.study.replicates import split_by_replicates
-    from cosim.study.scores import (
-        compare,
-        input_classes,
-        make_causal,
-        predict_models,
-        transpose_records,
-    )
-    from fmu_src.friction.predictions import predict_fmu
-    from hesr_model.findings import log_findings
-    from hesr_model.health.examine import check_owner
-
     if not sources:
         raise ArgumentError("'kind' prediction needs 'on', a log.")
     models = {law.name: law.model for law in report.laws if law.model and not law.fmu}
@@ -325,16 +334,41 @@ def _add_scores(
     if rigid_body is None:
         raise ArgumentError("'kind' prediction needs 'rigid_body', the result of 'hesr identify'.")
     body = find_body(rigid_body, checked.logs, checked.robot)
+    return _add_torque_errors(report, checked, body, models, progress)
+
+
+def _add_torque_errors(
+    report: LawReport,
+    checked: CheckedLogs,
+    body: RigidBody,
+    models: Mapping[str, FrictionModel],
+    progress: Stages,
+) -> LawReport:
+    """Add the errors of predicted torques, and of positions that models simulate with them."""
+    from cosim.study.position_errors import simulate_tests
+    from cosim.study.replicates import split_by_replicates
+    from cosim.study.scores import (
+        compare,
+        input_classes,
+        make_causal,
+        predict_models,
+        transpose_records,
+    )
+    from fmu_src.friction.predictions import predict_fmu
+    from hesr_model.findings import log_findings
+    from hesr_model.health.examine import check_owner
+
     records = transpose_records(checked.compute_records(body))
+    causal_records = make_causal(records)
     findings = list(checked.findings)
     for model in models.values():
         findings += log_findings(check_owner(model, checked.robot))
-    torques = predict_models(models, make_causal(records), partial(progress, "predicting"))
+    torques = predict_models(models, causal_records, partial(progress, "predicting"))
     zero_phase = predict_models(models, records)
     for law in report.laws:
         if law.fmu:
             progress(f"replaying {law.fmu.name}", 0, 1)
-            torques[law.name] = predict_fmu(law.fmu, make_causal(records))
+            torques[law.name] = predict_fmu(law.fmu, causal_records)
             zero_phase[law.name] = predict_fmu(law.fmu, records)
     comparison = compare(records, torques, input_classes(models), models, zero_phase)
     positions = None
@@ -385,24 +419,23 @@ def _add_certificates(report: LawReport, *, alone: bool) -> LawReport:
                 raise
             continue
         audits[law.name] = audit
-        joints = [
+        refuted_joints = [
             joint
             for joint, certificate in zip(law.model.joints, audit.certificates, strict=True)
             if certificate.verdict == "refuted"
         ]
-        if joints:
+        if refuted_joints:
             passivity_findings.append(
                 Finding(
                     check="passivity",
                     where=law.name,
-                    joints=tuple(joints),
+                    joints=tuple(refuted_joints),
                     found="the law generates energy in a cycle, so it is not passive",
                     remedy="use a law that is proven passive; the tables show the cycle",
                 )
             )
-    return replace(
-        report, audits=audits, findings=sort_by_severity([*report.findings, *passivity_findings])
-    )
+    findings = sort_by_severity([*report.findings, *passivity_findings])
+    return replace(report, audits=audits, findings=findings)
 
 
 def _add_properties(
@@ -415,11 +448,14 @@ def _add_properties(
     """Add the physics checks, each law in a process of its own."""
     from hesr_model.audit.properties import write_properties
 
-    inertias = None if inertia is None else tuple(inertia)
-    subjects = [replace(law, inertia=inertias) for law in report.laws]
+    subjects = list(report.laws)
+    if inertia is not None:
+        subjects = [replace(law, inertia=tuple(inertia)) for law in subjects]
     with ExitStack() as cleanup:
-        # Check that the file can be written before the run.
-        temporary = cleanup.enter_context(written_whole(output)) if output else None
+        temporary = None
+        if output:
+            # Check that the file can be written before the run.
+            temporary = cleanup.enter_context(written_whole(output))
         battery = plugins.find("hesr.tests", "properties")
         results = battery(subjects, load=load, progress=partial(progress, "testing the laws"))
         names = [law.name for law in report.laws]
@@ -434,9 +470,8 @@ def _scores_lines(comparison: Comparison) -> list[str]:
     from cosim.study.verdict import describe_limits, find_separations
 
     best = min(comparison.laws, key=comparison.size)
-    pairs = zip(
-        comparison.joints, comparison.unexplained_shares(comparison.laws[best].rmse), strict=True
-    )
+    unexplained_shares = comparison.unexplained_shares(comparison.laws[best].rmse)
+    pairs = zip(comparison.joints, unexplained_shares, strict=True)
     shares = ", ".join(f"{joint} {100 * share:.0f} %" for joint, share in pairs)
     joints = list(find_separations(comparison, [best] * len(comparison.joints)))
     return [f"Best: {best}. Unexplained friction: {shares}.", *describe_limits("The test", joints)]
@@ -448,7 +483,9 @@ def _failed_checks(properties: Properties) -> str:
     for title, numbers in properties.failed.items():
         names = ", ".join(f"J{number}" for number in numbers)
         failed.append(f"{title} ({names})")
-    return f"fails {'; '.join(failed)}." if failed else "passes all physics checks that apply."
+    if failed:
+        return f"fails {'; '.join(failed)}."
+    return "passes all physics checks that apply."
 
 
 def _describe_left_ranges(law: Subject, records: Records) -> list[str]:
@@ -461,11 +498,11 @@ def _describe_left_ranges(law: Subject, records: Records) -> list[str]:
     joints = tuple(joint_records[0].joint for joint_records in records)
     if model is None or not model.trained or model.joints != joints:
         return []
-    coupling = model.coupling
-    coupled_records = [
-        [replace(record, coupling=coupling) for record in joint_records]
-        for joint_records in records
-    ]
+
+    def add_coupling(record: FrictionRecord) -> FrictionRecord:
+        return replace(record, coupling=model.coupling)
+
+    coupled_records = [list(map(add_coupling, joint_records)) for joint_records in records]
     thermal_models = model.thermal or (None,) * len(joints)
     shares = []
     for friction_law, trained_range, thermal, joint_records in zip(
@@ -478,4 +515,6 @@ def _describe_left_ranges(law: Subject, records: Records) -> list[str]:
         inputs = (*map(str, friction_law.form.inputs), "temperature")
         share_by_input = find_excess(trained_range, joint_records, thermal)
         shares.append({name: excess for name, excess in share_by_input.items() if name in inputs})
-    return [describe_excesses(model.joints, shares, model.sliding)] if any(shares) else []
+    if not any(shares):
+        return []
+    return [describe_excesses(model.joints, shares, model.sliding)]
