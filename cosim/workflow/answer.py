@@ -114,11 +114,13 @@ class Answer(ABC):
 
         from cosim.report.markup import table
 
-        parts = (
-            f"<p>{escape(shown)}</p>" if isinstance(shown, str) else str(table(shown))
-            for shown in self.tables()
-        )
-        return "\n".join([f"<pre>{escape(self.summary())}</pre>", *parts])
+        parts = [f"<pre>{escape(self.summary())}</pre>"]
+        for table_or_text in self.tables():
+            if isinstance(table_or_text, str):
+                parts.append(f"<p>{escape(table_or_text)}</p>")
+            else:
+                parts.append(str(table(table_or_text)))
+        return "\n".join(parts)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -183,7 +185,9 @@ def shorten_lines(lines: Iterable[str], files: Sequence[Path] = ()) -> str:
 
 
 def _name_files(files: Sequence[Path]) -> list[str]:
-    return [f"Written: {', '.join(map(str, files))}"] if files else []
+    if not files:
+        return []
+    return [f"Written: {', '.join(map(str, files))}"]
 
 
 def finding_lines(findings: Iterable[Finding]) -> list[str]:
@@ -204,4 +208,6 @@ def read_health(provenance: Mapping[str, Any]) -> list[Finding]:
 
 def written_files(output: PathArg | None) -> list[Path]:
     """Return the file that was written, if any, as a list."""
-    return [] if output is None else [Path(output)]
+    if output is None:
+        return []
+    return [Path(output)]

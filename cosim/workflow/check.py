@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -51,11 +51,10 @@ class FmuReport(Answer):
     @property
     def findings(self) -> Sequence[Finding]:  # type: ignore[override]  # derived from the reports
         """Findings of all files."""
-        return [
-            replace(finding, where=str(report.path))
-            for report in self.reports
-            for finding in report.problems
-        ]
+        findings: list[Finding] = []
+        for report in self.reports:
+            findings += _add_place(report.problems, report.path)
+        return findings
 
     def _lines(self, limit: int | None = None) -> list[str]:
         from fmu_src.check.external import NO_VDMCHECK
@@ -85,8 +84,10 @@ class FmuReport(Answer):
         from fmu_src.check.external import NO_VDMCHECK
 
         costs = [convention(path.name, cost) for path, cost in self.conventions.items()]
-        is_without = any(NO_VDMCHECK in report.skipped for report in self.reports)
-        return [*self._lines(), *costs, *[_VDMCHECK_HINT] * is_without]
+        tables: list[ResultTable | str] = [*self._lines(), *costs]
+        if any(NO_VDMCHECK in report.skipped for report in self.reports):
+            tables.append(_VDMCHECK_HINT)
+        return tables
 
     def result(self) -> Any:
         """Return the reports as JSON data."""
@@ -166,8 +167,6 @@ def check(
     >>> hesr.check("Friction.fmu").passed
     True
     """
-    from fmu_src.friction.convention import measure
-
     paths = list_paths("fmus", fmus)
     require_items("fmus", paths)
     kinds = list_names("kind", kind)
@@ -190,22 +189,35 @@ def check(
             write(file, reports)
         answer = FmuReport(reports=reports, files=[file for _, file in writers])
         raise Interrupted(hint, interrupt, answer) from interrupt
-    conventions = {}
+    conventions: dict[Path, Convention] = {}
     if "convention" in kinds:
-        for number, path in enumerate(paths):
-            progress(f"measuring {path.name}", 0, 1)
-            try:
-                conventions[path] = measure(path)
-            except HesrError as error:
-                report = reports[number]
-                if not report.problems:
-                    raise
-                # The problems explain why the FMU does not run.
-                skipped = (*report.skipped, f"Convention: {error}")
-                reports[number] = replace(report, skipped=skipped)
+        for number, report in enumerate(reports):
+            progress(f"measuring {report.path.name}", 0, 1)
+            reports[number], convention = _measure_convention(report)
+            if convention is not None:
+                conventions[report.path] = convention
     for write, file in writers:
         write(file, reports)
     return FmuReport(reports=reports, conventions=conventions, files=[file for _, file in writers])
+
+
+def _add_place(findings: Iterable[Finding], path: Path) -> list[Finding]:
+    """Return findings with the file that they are about."""
+    return [replace(finding, where=str(path)) for finding in findings]
+
+
+def _measure_convention(report: Report) -> tuple[Report, Convention | None]:
+    """Return the errors of the input conventions of an FMU; None if it does not run."""
+    from fmu_src.friction.convention import measure
+
+    try:
+        return report, measure(report.path)
+    except HesrError as error:
+        if not report.problems:
+            raise
+        # The problems explain why the FMU does not run.
+        skipped = (*report.skipped, f"Convention: {error}")
+        return replace(report, skipped=skipped), None
 
 
 def _find_writers(files: Mapping[str, PathArg | None]) -> list[tuple[Callable[..., None], Path]]:
@@ -243,7 +255,7 @@ def _require_supported(paths: Sequence[Path], kinds: Sequence[str]) -> None:
 def _log_first_findings(report: Report) -> None:
     """Log what the user should know before all files are checked."""
     findings = [finding for finding in report.problems if finding.severity != "advice"]
-    log_findings(replace(finding, where=str(report.path)) for finding in findings[:_MAX_LOGGED])
+    log_findings(_add_place(findings[:_MAX_LOGGED], report.path))
 
 
 def _check_file(
@@ -274,7 +286,9 @@ def _run_checks(path: Path, kinds: Sequence[str], vdmcheck: Path | None) -> Repo
     else:
         checks = [name for name in plugins.names("hesr.checks") if name in kinds]
         report = check_fmu(path, vdmcheck=vdmcheck, kinds=checks)
-    return _add_references(report) if "references" in kinds else report
+    if "references" in kinds:
+        return _add_references(report)
+    return report
 
 
 def _add_references(report: Report) -> Report:

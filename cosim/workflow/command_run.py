@@ -62,9 +62,12 @@ class CommandRun(Answer):
     def _error_lines(self) -> list[str]:
         """Return the errors on tests, or else on the training logs."""
         tests = [errors for errors in self.outcome.errors if errors.is_test]
-        shown = tests or self.outcome.errors
-        doubts = [doubt for errors in shown for doubt in errors.doubts]
-        return [*(errors.sentence for errors in shown), *doubts]
+        sentences = []
+        doubts: list[str] = []
+        for errors in tests or self.outcome.errors:
+            sentences.append(errors.sentence)
+            doubts += errors.doubts
+        return sentences + doubts
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return servos, laws and errors."""
@@ -96,13 +99,11 @@ class CommandRun(Answer):
         from cosim.report.tables.table import ResultTable, make_row
 
         joints = self.outcome.model.joints
-        rows = [
-            make_row(
-                f"{errors.log} ({'test' if errors.is_test else 'training'})",
-                *(f"{1e3 * value:.3g}" for value in getattr(errors, name)),
-            )
-            for errors in self.outcome.errors
-        ]
+        rows = []
+        for errors in self.outcome.errors:
+            role = "test" if errors.is_test else "training"
+            cells = [f"{1e3 * value:.3g}" for value in getattr(errors, name)]
+            rows.append(make_row(f"{errors.log} ({role})", *cells))
         return ResultTable(caption=caption, head=("log", *joints), rows=rows)
 
     def result(self) -> Any:

@@ -163,7 +163,9 @@ def excite(
     from hesr_model.robots.robot import Robot, RobotDescription
 
     loaded_robot = Robot(RobotDescription.read(robot_path))
-    limits = ExcitationSettings.read(settings_path) if settings_path else ExcitationSettings()
+    limits = ExcitationSettings()
+    if settings_path:
+        limits = ExcitationSettings.read(settings_path)
     try:
         excitation = design(
             loaded_robot, limits, progress=partial(progress, "designing the motion")

@@ -151,7 +151,9 @@ class ExportFormat:
             return tuple(platform)
         from fmu_src.export.toolchain import DEFAULT_PLATFORMS, HOST
 
-        return HOST if self.exporter.platforms == "host" else DEFAULT_PLATFORMS
+        if self.exporter.platforms == "host":
+            return HOST
+        return DEFAULT_PLATFORMS
 
     def _refuse_option(self, option_name: str) -> NoReturn:
         """Refuse an option of other formats, which would have no effect."""
@@ -164,7 +166,9 @@ class ExportFormat:
             if formats and kind is self.kind:
                 self._refuse_for_formats(option_name, formats)
             if formats:
-                contrast = "" if self.kind is LAW else f", not for {self.kind.noun}"
+                contrast = ""
+                if self.kind is not LAW:
+                    contrast = f", not for {self.kind.noun}"
                 raise ArgumentError(f"'{option_name}' is for {kind.owner}{contrast}.")
         raise ArgumentError(f"'{option_name}' is not an option of any format.")
 
@@ -214,7 +218,9 @@ def _refuse_format(kind: ExportSource, name: str, formats: Sequence[str]) -> NoR
         plugins.find(kind.group, name)  # says that none is installed
     if kind is LAW:
         raise ArgumentError(f"'format' is {name}; allowed are {', '.join(formats)}.")
-    contrast = f", which is for {LAW.owner}" if name in plugins.names(LAW.group) else ""
+    contrast = ""
+    if name in plugins.names(LAW.group):
+        contrast = f", which is for {LAW.owner}"
     raise ArgumentError(
         f"'format' is {name}{contrast}; {kind.noun} becomes {kind.product} ({', '.join(formats)})."
     )
@@ -268,15 +274,21 @@ def _require_equal_types(
 
 
 def _format_section(kind: ExportSource, exporters: Mapping[str, Exporter]) -> HelpSection:
-    suffixes = f" ({', '.join(kind.suffixes)})" if kind.suffixes else ""
     rows = []
     for name, exporter in exporters.items():
         remarks = list(exporter.suffixes)
         if name == kind.default and kind is not RESULTS:
             remarks.append("default")
-        title = f"{exporter.title} ({', '.join(remarks)})" if remarks else exporter.title
-        rows.append((name, title))
-    return HelpSection(title=f"Formats of {kind.noun}{suffixes}", formats=tuple(rows))
+        rows.append((name, _add_remarks(exporter.title, remarks)))
+    title = _add_remarks(f"Formats of {kind.noun}", kind.suffixes)
+    return HelpSection(title=title, formats=tuple(rows))
+
+
+def _add_remarks(title: str, remarks: Sequence[str]) -> str:
+    """Return a title with its remarks, if any, in brackets."""
+    if not remarks:
+        return title
+    return f"{title} ({', '.join(remarks)})"
 
 
 def _option_sections(

@@ -20,7 +20,7 @@ from cosim.workflow.arguments import (
 from hesr_model.errors import ArgumentError, HesrError, LogError
 from hesr_model.support.files import PathArg, written_together, written_whole
 from hesr_model.support.progress import Stages, silent
-from hesr_model.support.text import format_settings
+from hesr_model.support.text import count_noun, format_settings
 
 if TYPE_CHECKING:
     from cosim.report.tables.table import ResultTable
@@ -88,8 +88,9 @@ class Inspection(Answer):
         lines += [f"proposed: {key}: {text}" for key, text in self.proposal.reasons.items()]
         lines += [constant.sentence for constant in self.constants]
         text = shorten_lines(lines, self.files)
-        next_ = f"Next: {self.next_command}" if self.next_command else ""
-        return "\n".join(filter(None, [text, next_]))
+        if not self.next_command:
+            return text
+        return "\n".join(filter(None, [text, f"Next: {self.next_command}"]))
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return one line and one table per log and all findings, or the tables of a robot."""
@@ -103,21 +104,22 @@ class Inspection(Answer):
 
             shown += robot_tables(Robot(self.proposal.description))
         for log in self.proposal.logs:
-            count = len(log.gaps)
-            gaps = f", {count} gap{'s' * (count > 1)}" if count else ""
-            dropped = f", {log.dropped} rows left out" if log.dropped else ""
-            shown.append(
+            line = (
                 f"{log.name}: {len(log.t)} rows, {log.t[-1] - log.t[0]:.1f} s, {log.rate:.4g} Hz, "
-                f"jitter {100 * log.jitter:.0f} %{gaps}{dropped}"
+                f"jitter {100 * log.jitter:.0f} %"
             )
+            if log.gaps:
+                line += f", {count_noun(len(log.gaps), 'gap')}"
+            if log.dropped:
+                line += f", {log.dropped} rows left out"
+            shown.append(line)
         by_log: dict[str, list[TableRow]] = {}
         for name, joint, *cells in summary_rows(self.proposal):
             by_log.setdefault(name, []).append(make_row(joint, *cells))
         shown += [ResultTable(caption=n, head=HEAD[1:], rows=rows) for n, rows in by_log.items()]
-        return [
-            *shown,
-            *(finding_lines(self.proposal.first_findings) if self.proposal.logs else ()),
-        ]
+        if self.proposal.logs:
+            shown += finding_lines(self.proposal.first_findings)
+        return shown
 
     def result(self) -> Any:
         """Return findings before and after the proposal, what is undecided, reasons, constants."""
@@ -214,7 +216,9 @@ def inspect(
     sources = list_logs("logs", logs)
     loaded_sources = list_logs("loaded", loaded)
     names = list_names("joints", joints, commas=True)
-    point_mass = None if payload is None else list_numbers("payload", payload)
+    point_mass = None
+    if payload is not None:
+        point_mass = list_numbers("payload", payload)
     _require_robot(robot, names, write, study)
     page_path = to_optional_output("output", output)
     robot_path = to_optional_output("write", write)
@@ -223,10 +227,10 @@ def inspect(
         _refuse_options_of_constants(mass_error, loaded_sources, point_mass)
     if not sources:
         _require_robot_alone(robot, study, torque_constants=torque_constants)
-    files = _find_log_files(sources)
+    log_files = _find_log_files(sources)
     progress("inspecting logs", 0, 1)
     try:
-        proposal = inspect_logs(files, robot, names)
+        proposal = inspect_logs(log_files, robot, names)
     except ProposalError as refusal:
         raise _write_refused(refusal, robot_path) from refusal
     constants: Sequence[TorqueConstant] = ()
@@ -237,15 +241,20 @@ def inspect(
         proposal = apply_constants(proposal, constants)
     severities = {finding.severity for finding in proposal.examination.findings}
     has_errors = "error" in severities
-    written, failure = _write(proposal, page_path, robot_path, None if has_errors else study_path)
+    currents: Sequence[str] = ()
+    if has_errors:
+        study_path = None  # its logs cannot be used yet
+    files, failure = _write(proposal, page_path, robot_path, study_path)
+    if not has_errors:
+        currents = _describe_currents(proposal)
     is_ready = not has_errors and not failure
     return Inspection(
         proposal=proposal,
         constants=constants,
         next_command=_next_command(write, study, is_ready=is_ready),
         failure=failure,
-        currents=() if has_errors else _describe_currents(proposal),
-        files=written,
+        currents=currents,
+        files=files,
     )
 
 
@@ -306,7 +315,9 @@ def _next_command(write: PathArg | None, study: PathArg | None, *, is_ready: boo
             "correct these errors in the robot file or the logs, then repeat hesr inspect with "
             f"--robot {write or 'FILE'}"
         )
-    return f"hesr run {study}" if study else ""
+    if study:
+        return f"hesr run {study}"
+    return ""
 
 
 def _write_refused(refusal: ProposalError, robot_path: Path | None) -> LogError:
@@ -385,7 +396,9 @@ def _estimate_torque_constants(
             )
         mass, *centre = payload
         point_mass = point_payload(mass, centre)
-    moved_robot = find_robot(select_joints(robot, joints) if robot and joints else robot, ())
+    if robot and joints:
+        robot = select_joints(robot, joints)
+    moved_robot = find_robot(robot, ())
     log_format = moved_robot.description.log
 
     def smooth_logs(sources: Sequence[LogSource]) -> list[Motion]:

@@ -147,8 +147,10 @@ class RunResult(Answer):
                 for measure in MEASURES
             ]
             tables += build_tables(outcome.replicates, name, outcome.verdict.laws, self._sliding)
-            laws = outcome.verdict.laws if name == outcome.verdict.test else ()
-            tables.append(separations(name, comparison, laws))
+            recommended_laws: Sequence[str] = ()
+            if name == outcome.verdict.test:
+                recommended_laws = outcome.verdict.laws
+            tables.append(separations(name, comparison, recommended_laws))
         tables.append(cross_validation(outcome.models, self._sliding))
         tables += build_tables(outcome.replicates, TRAINING, outcome.verdict.laws, self._sliding)
         if outcome.truths:
@@ -173,23 +175,21 @@ class RunResult(Answer):
         from hesr_model.support.typed_files import to_json
 
         outcome = self.outcome
+        evaluation = {name: to_json(scores) for name, scores in outcome.comparisons.items()}
+        replicates = {name: saved and to_json(saved) for name, saved in outcome.replicates.items()}
+        cache = {}
+        for kind, (reused, requested) in outcome.cached.items():
+            cache[kind] = {"reused": reused, "of": requested}
         return {
             "folder": str(self.folder),
             "fmus": {law_name: str(path) for law_name, path in outcome.fmus.items()},
             "left_out": dict(outcome.left_out),
             "verdict": to_json(outcome.verdict),
-            "evaluation": {
-                name: to_json(comparison) for name, comparison in outcome.comparisons.items()
-            },
-            "replicates": {
-                name: saved and to_json(saved) for name, saved in outcome.replicates.items()
-            },
-            "closed_loop": to_json(outcome.loop) if outcome.loop else None,
+            "evaluation": evaluation,
+            "replicates": replicates,
+            "closed_loop": outcome.loop and to_json(outcome.loop),
             "following": to_json(outcome.following),
-            "cache": {
-                kind: {"reused": reused, "of": asked}
-                for kind, (reused, asked) in outcome.cached.items()
-            },
+            "cache": cache,
         }
 
 
@@ -305,7 +305,9 @@ def run(
     from cosim.study.study import Study
     from fmu_src.export.toolchain import DEFAULT_PLATFORMS
 
-    platforms = None if platform is None else list_names("platform", platform)
+    platforms: Sequence[str] = DEFAULT_PLATFORMS
+    if platform is not None:
+        platforms = list_names("platform", platform)
     accepted = list_names("accept", accept)
     measured_studies = list_paths("measured", measured)
     require_number("seeds", seeds)
@@ -319,7 +321,7 @@ def run(
             quick=quick,
             seeds=seeds,
             accept=accepted,
-            platform=platforms is not None,
+            platform=platform is not None,
             measured=measured_studies,
         )
     if measured_studies:
@@ -329,7 +331,7 @@ def run(
         return _run_from_commands(
             study_path,
             results_folder,
-            platforms=DEFAULT_PLATFORMS if platforms is None else platforms,
+            platforms=platforms,
             quick=quick,
             seeds=seeds,
             accepted=accepted,
@@ -341,7 +343,7 @@ def run(
         outcome = run_study(
             study_path,
             results_folder,
-            platforms=DEFAULT_PLATFORMS if platforms is None else platforms,
+            platforms=platforms,
             quick=quick,
             accepted=accepted,
             progress=progress,
@@ -391,7 +393,9 @@ def _find_study(study: PathArg | None) -> Path:
     shipped_studies = find_shipped_studies()
     path = to_path(study or shipped_studies[DEFAULT], "'study'")
     is_name = path == Path(path.name) and not path.is_file()
-    return shipped_studies.get(path.name, path) if is_name else path
+    if is_name:
+        return shipped_studies.get(path.name, path)
+    return path
 
 
 def _run_draws(
@@ -421,7 +425,9 @@ def _describe_checkpoints(results_folder: Path) -> str:
         count = len(list(checkpoints.glob(pattern)))
         if count:
             finished.append(f"{count} {kind}")
-    return f"{', '.join(finished)} are kept in {checkpoints}" if finished else ""
+    if not finished:
+        return ""
+    return f"{', '.join(finished)} are kept in {checkpoints}"
 
 
 def answer(draws: Seeds, _: PathArg | None) -> Answer:
