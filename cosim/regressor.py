@@ -103,7 +103,9 @@ class FrictionRegressor:
         return f"{type(self).__name__}({', '.join(arguments)})"
 
     def _repr_html_(self) -> str:
-        return self._require_fitted()._repr_html_() if hasattr(self, "model_") else repr(self)
+        if hasattr(self, "model_"):
+            return self.model_._repr_html_()
+        return repr(self)
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:  # noqa: ARG002  # scikit-learn's signature
         """Return the parameters of the constructor by name."""
@@ -215,7 +217,9 @@ class FrictionRegressor:
         prediction = self._predict_one(X)
         torque = prediction.tau_predicted
         # The shape of the y of `fit`, as scikit-learn expects.
-        return torque[:, 0] if prediction.is_table and self._flat else torque
+        if prediction.is_table and self._flat:
+            return torque[:, 0]
+        return torque
 
     def score(self, X: Any, y: Any = None) -> float:
         """Return the coefficient of determination R2, averaged over joints.
@@ -273,7 +277,9 @@ class FrictionRegressor:
 
         The default platforms are linux64, win64 and that of this machine.
         """
-        names = None if platforms is None else list_names("platforms", platforms)
+        names = None
+        if platforms is not None:
+            names = list_names("platforms", platforms)
         return self._require_fitted().to_fmu(path, platform=names)
 
     def to_torch(self, path: PathArg) -> Path:
@@ -322,7 +328,9 @@ class FrictionRegressor:
         tau_predicted = model.predict(t=table.t, dq=table.dq, q=table.q, tau_load=table.load)
         if self.target == "torque":
             tau_predicted = tau_predicted + table.load
-        tau = tau_predicted if y is None else read_torques(y, len(tau_predicted))
+        tau = tau_predicted
+        if y is not None:
+            tau = read_torques(y, len(tau_predicted))
         return _Prediction(t=table.t, tau=tau, tau_predicted=tau_predicted, is_table=True)
 
     def _motion(self, values: Array, names: Sequence[str]) -> MotionTable:
@@ -349,7 +357,9 @@ class FrictionRegressor:
         sources = logs_unless_table(X)
         if sources is None:
             return None
-        robot = getattr(self, "robot_", None) if self.robot is None else self.robot
+        robot = self.robot
+        if robot is None:
+            robot = getattr(self, "robot_", None)
         logs = read_logs(sources, robot)
         require_one_way(logs, from_commands=False)
         return logs

@@ -24,7 +24,9 @@ class StandIn(StrEnum):
     @property
     def words(self) -> str:
         """Name in texts."""
-        return "true friction and rigid body" if self is StandIn.ORACLE else self.value[1:-1]
+        if self is StandIn.ORACLE:
+            return "true friction and rigid body"
+        return self.value[1:-1]  # without brackets
 
 
 Law = Annotated[StandIn | str, Field(union_mode="left_to_right")]
@@ -80,8 +82,10 @@ class Scheme:
     @property
     def name(self) -> str:
         """Name in files."""
-        change = f": {self.change}" if self.change else ""
-        return ", ".join((self.compensation, *self._qualifiers)) + change
+        name = ", ".join((self.compensation, *self._qualifiers))
+        if self.change:
+            name += f": {self.change}"
+        return name
 
     @property
     def title(self) -> str:
@@ -152,7 +156,9 @@ class Setting:
 
 def preview(scheme: Scheme, gains: Gains, step_size: float) -> float:
     """Return the preview [s] of servo inversion: latency and half a step, as commands are held."""
-    return gains.latency + 0.5 * step_size if scheme.compensation == "servo_inversion" else 0.0
+    if scheme.compensation != "servo_inversion":
+        return 0.0
+    return gains.latency + 0.5 * step_size
 
 
 def build_system(
@@ -166,38 +172,12 @@ def build_system(
 
     A run of `duration` [s] ends early outside `limits` (n, 2) [rad].
     """
-    fmus = setting.fmus
-    scheme = setting.scheme
-    gains = setting.gains
-    is_measured = scheme.source != "desired"
-    filter_time = setting.time_constant if scheme.source == "filtered" else 0.0
-    preview_start = {"preview": preview(scheme, gains, setting.step), "rest_time": _REST_TIME}
-    control: dict[str, Value] = {
-        "compensation": scheme.compensation,
-        "friction_gain": scheme.friction_gain,
-        "sample_time": setting.step,
-        "lambda": gains.decay,
-        "Kp": gains.Kp,
-        "Kd": gains.Kd,
-        "Kv": gains.Kv,
-        "Ki": gains.Ki,
-        "Kx": scheme.Kx,
-    }
-    parts: dict[str, tuple[Path, Mapping[str, Value]]] = {
-        "arm": (fmus.arm, setting.arm),
-        "trajectory": (fmus.trajectory, {**preview_start, **(motion or {})}),
-        "body": (fmus.body, {}),
-        **({"velocity": (fmus.velocity, {"time_constant": filter_time})} if is_measured else {}),
-        "friction": (fmus.friction, {}),
-        "gravity": (fmus.gravity or fmus.body, {"dq": 0.0, "ddq": 0.0}),
-        "controller": (fmus.controller, control),
-    }
     connections = {
         "arm.dq_cmd": "controller.dq_cmd",
         "body.q": "trajectory.q_ahead",
         "body.dq": "trajectory.dq_ahead",
         "body.ddq": "trajectory.ddq_ahead",
-        "friction.dq": "velocity.dq" if is_measured else "trajectory.dq_ahead",
+        "friction.dq": "trajectory.dq_ahead",
         "friction.q": "trajectory.q_ahead",
         "friction.tau_load": "body.tau",
         "gravity.q": "arm.q",
@@ -209,17 +189,52 @@ def build_system(
         "controller.tau_meas": "arm.tau_meas",
         "controller.q": "arm.q",
     }
-    if is_measured:
+    if setting.scheme.source != "desired":
+        connections["friction.dq"] = "velocity.dq"
         connections["velocity.q"] = "arm.q"
     bounds = tuple((float(lower), float(upper)) for lower, upper in limits)
     return SystemSpec(
         name="closed_loop",
         step=setting.step,
         stop=duration,
-        components=tuple(
-            ComponentSpec(name=name, fmu=fmu, start=start) for name, (fmu, start) in parts.items()
-        ),
+        components=tuple(_list_components(setting, motion or {})),
         connections=connections,
         observe=("trajectory.q", "arm.q_true"),
         limits={"arm.q_true": bounds} if bounds else {},
     )
+
+
+def _list_components(setting: Setting, motion: Mapping[str, Value]) -> Iterator[ComponentSpec]:
+    """Yield the FMUs of a loop with their start values, in the order of their steps."""
+    fmus = setting.fmus
+    scheme = setting.scheme
+    gains = setting.gains
+    yield ComponentSpec(name="arm", fmu=fmus.arm, start=setting.arm)
+    preview_time = preview(scheme, gains, setting.step)
+    trajectory_start: dict[str, Value] = {
+        "preview": preview_time,
+        "rest_time": _REST_TIME,
+        **motion,
+    }
+    yield ComponentSpec(name="trajectory", fmu=fmus.trajectory, start=trajectory_start)
+    yield ComponentSpec(name="body", fmu=fmus.body, start={})
+    if scheme.source != "desired":
+        # A filter without a time constant passes the measured velocity on.
+        filter_time = setting.time_constant if scheme.source == "filtered" else 0.0
+        filter_start: dict[str, Value] = {"time_constant": filter_time}
+        yield ComponentSpec(name="velocity", fmu=fmus.velocity, start=filter_start)
+    yield ComponentSpec(name="friction", fmu=fmus.friction, start={})
+    gravity_start: dict[str, Value] = {"dq": 0.0, "ddq": 0.0}  # the torque at rest
+    yield ComponentSpec(name="gravity", fmu=fmus.gravity or fmus.body, start=gravity_start)
+    control: dict[str, Value] = {
+        "compensation": scheme.compensation,
+        "friction_gain": scheme.friction_gain,
+        "sample_time": setting.step,
+        "lambda": gains.decay,
+        "Kp": gains.Kp,
+        "Kd": gains.Kd,
+        "Kv": gains.Kv,
+        "Ki": gains.Ki,
+        "Kx": scheme.Kx,
+    }
+    yield ComponentSpec(name="controller", fmu=fmus.controller, start=control)

@@ -105,18 +105,17 @@ class TwinArm:
         instance.initialise(start=instance.variables.expand_values(start))
         numbers = range(1, len(self.plant.joints) + 1)
         inputs = instance.buffer([f"dq_cmd[{number}]" for number in numbers])
-        outputs = instance.buffer(
-            [f"{name}[{number}]" for name in _OUTPUTS.values() for number in numbers]
-        )
+        output_names: list[str] = []
+        for name in _OUTPUTS.values():
+            output_names += [f"{name}[{number}]" for number in numbers]
+        outputs = instance.buffer(output_names)
         period = 1.0 / self.plant.sample_rate
         times = period * np.arange(len(commands) - 1, dtype=float)
         first_outputs = outputs.read().copy()
-        rows = step_rows(
-            instance, inputs, outputs, times, np.full(len(times), period), commands[:-1]
-        )
-        values = np.vstack([first_outputs, rows])[unlogged:].reshape(
-            -1, len(_OUTPUTS), len(numbers)
-        )
+        step_sizes = np.full(len(times), period)
+        later_outputs = step_rows(instance, inputs, outputs, times, step_sizes, commands[:-1])
+        rows = np.vstack([first_outputs, later_outputs])[unlogged:]
+        values = rows.reshape(-1, len(_OUTPUTS), len(numbers))
         return ArmRun(**{name: values[:, k] for k, name in enumerate(_OUTPUTS)})
 
 

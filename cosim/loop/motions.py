@@ -102,7 +102,9 @@ class Motions(Config):
     @field_validator("motions")
     @classmethod
     def _names_differ(cls, motions: tuple[MotionSpec, ...]) -> tuple[MotionSpec, ...]:
-        names = [name for motion in motions for name in list_log_names(motion)]
+        names: list[str] = []
+        for motion in motions:
+            names += list_log_names(motion)
         for name in names:
             if names.count(name) > 1:
                 raise RuleError(
@@ -113,7 +115,9 @@ class Motions(Config):
 
 def list_log_names(motion: MotionSpec) -> tuple[str, ...]:
     """Return the names of the logs of a motion."""
-    return (motion.name, f"{motion.name}_reversed") if motion.also_reversed else (motion.name,)
+    if motion.also_reversed:
+        return motion.name, f"{motion.name}_reversed"
+    return (motion.name,)
 
 
 def require_within(limits: Array, q: Array, joints: Sequence[str], subject: str) -> None:

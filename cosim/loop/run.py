@@ -108,25 +108,21 @@ def run_loop(
     findings = write_loops(loop, robot, body, run.models, folder, platforms=platforms)
     progress("building the loop", 1, 1)
     tracked, long_tracked = run_tracking(loop, quick=quick)
-    write_traces(
-        folder / TRACES,
-        [
-            (tracked_row.scheme, tracked_row.law, tracked_row.trace)
-            for tracked_row in tracked
-            if tracked_row.trace
-        ],
-    )
+    traced_runs = [(row.scheme, row.law, row.trace) for row in tracked if row.trace]
+    write_traces(folder / TRACES, traced_runs)
     sweeps = []
     overcompensation = []
-    robustness = None if quick else plugins.load("hesr.studies").get("robustness")
-    if robustness:
-        sweeps, overcompensation = robustness.load()(loop, robot, body, fmus, tracked)
+    if not quick:
+        robustness = plugins.load("hesr.studies").get("robustness")
+        if robustness:
+            sweeps, overcompensation = robustness.load()(loop, robot, body, fmus, tracked)
+        findings += check_masters(loop, plant, signals)
     return LoopOutcome(
         tracking=tracked,
         long=long_tracked,
         sweeps=sweeps,
         overcompensation=overcompensation,
-        findings=[*findings, *([] if quick else check_masters(loop, plant, signals))],
+        findings=findings,
     )
 
 
@@ -206,9 +202,13 @@ def check_masters(loop: StudyLoop, plant: Plant, signals: SignalTable) -> list[F
 
 
 def _measure_difference(run: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]) -> float:
-    return max(
-        float(np.abs(values - other[name]).max(initial=0.0) / np.abs(other[name]).max(initial=1e-3))
-        if len(values) == len(other[name])
-        else np.inf
-        for name, values in run.items()
-    )
+    """Return the largest relative difference of a signal; infinite for runs of other lengths."""
+    differences = []
+    for name, values in run.items():
+        other_values = other[name]
+        if len(values) != len(other_values):
+            return np.inf
+        # A signal that stays below 1e-3 has no size to compare with.
+        size = np.abs(other_values).max(initial=1e-3)
+        differences.append(float(np.abs(values - other_values).max(initial=0.0) / size))
+    return max(differences)

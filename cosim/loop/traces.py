@@ -1,10 +1,10 @@
 """Results of the closed loop: tracking errors, positions over time, and its files."""
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -163,29 +163,40 @@ def write_traces(path: Path, runs: Sequence[tuple[Scheme, str, Trace]]) -> None:
 
 def read_traces(path: Path) -> dict[tuple[Scheme, str], Trace]:
     """Return the traces of a file, or of the Parquet file of an older result, by (scheme, law)."""
-    older = path.with_suffix(".parquet")
-    if not path.is_file() and not older.is_file():
+    older_path = path.with_suffix(".parquet")
+    if not path.is_file() and not older_path.is_file():
         raise ArtifactError(
             f"{path}: no such file; 'hesr run' writes it for a study with [tracking]."
         )
-    read_parquet = None if path.is_file() else import_arrow().parquet.read_table
+    is_older = not path.is_file()
+    if is_older:
+        arrow = import_arrow()  # if it is missing, the file is not to blame
     try:
-        table = load_arrays(path) if read_parquet is None else read_parquet(older).to_pydict()
-        column_names = [f"{name}{k + 1}" for name in ("q_d", "q") for k in range(len(table))]
-        names = ["t", *filter(table.__contains__, column_names)]
-        values = np.column_stack([np.asarray(table[name], dtype=float) for name in names])
-        runs = list(zip(map(str, table["scheme"]), map(str, table["law"]), strict=True))
-        order = {run: k for k, run in enumerate(dict.fromkeys(runs))}
-        run_indices = np.array([order[run] for run in runs])
-        joint_count = len(names) // 2
-        return {
-            (Scheme.from_name(scheme), law_name): Trace(
-                t=run_values[:, 0],
-                q_d=run_values[:, 1 : 1 + joint_count],
-                q=run_values[:, 1 + joint_count :],
-            )
-            for (scheme, law_name), k in order.items()
-            for run_values in [values[run_indices == k]]
-        }
+        if is_older:
+            return _split_traces(arrow.parquet.read_table(older_path).to_pydict())
+        return _split_traces(load_arrays(path))
     except (LogError, OSError, KeyError, IndexError, TypeError, ValueError) as error:
         raise ArtifactError(f"{path}: is not a file of closed-loop traces.") from error
+
+
+def _split_traces(columns: Mapping[str, Any]) -> dict[tuple[Scheme, str], Trace]:
+    """Return the traces of the columns of `write_traces`."""
+    numbers = range(1, len(columns) + 1)  # more than there are joints
+    desired_names = [f"q_d{number}" for number in numbers if f"q_d{number}" in columns]
+    names = [f"q{number}" for number in numbers if f"q{number}" in columns]
+    values = np.column_stack(
+        [np.asarray(columns[name], dtype=float) for name in ("t", *desired_names, *names)]
+    )
+    runs = list(zip(map(str, columns["scheme"]), map(str, columns["law"]), strict=True))
+    run_numbers = {run: k for k, run in enumerate(dict.fromkeys(runs))}
+    number_of_row = np.array([run_numbers[run] for run in runs])
+    joint_count = len(desired_names)
+    traces = {}
+    for (scheme, law_name), k in run_numbers.items():
+        run_values = values[number_of_row == k]
+        traces[Scheme.from_name(scheme), law_name] = Trace(
+            t=run_values[:, 0],
+            q_d=run_values[:, 1 : 1 + joint_count],
+            q=run_values[:, 1 + joint_count :],
+        )
+    return traces

@@ -4,9 +4,10 @@ Whole logs run from their commands; the rows of a fold do not count in the fit t
 them. What is compared is the error of positions.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -70,29 +71,25 @@ def choose_from_commands(
     FitError
         If no law can be fitted to a joint, or commands do not explain its motion.
     """
-    tried = _list_laws(laws)
+    candidates = _list_laws(laws)
     records = read_servo_records(logs, robot, robot.nominal_parameters)
-    names = [record.log for record in records[0]]
-    fold_of_row = [
-        numbers.astype(int)
-        for numbers in number_rows(names, [record.t for record in records[0]], FOLD_COUNT)
-    ]
-    judged = _judge_all(records, robot, tried, np.concatenate(fold_of_row), workers, progress)
+    fold_of_row = _number_folds(records[0])
+    judged = _judge_all(records, robot, candidates, np.concatenate(fold_of_row), workers, progress)
     latency = find_common_latency([joint[CoulombViscous.name].fit for joint in judged])
-    fitted = [law for law in tried if all(law in joint for joint in judged)]
-    errors = _collect_errors(records, judged, fitted, fold_of_row, latency[0])
+    fitted_laws = _find_common_laws(candidates, judged)
+    errors = _collect_errors(records, judged, fitted_laws, fold_of_row, latency[0])
     choice = choose_laws(
-        _keep_simple_laws(errors, fitted),
+        _keep_simple_laws(errors, fitted_laws),
         is_proven=lambda law, j: has_proof(judged[j][_to_fitted_law(law)].fit.law),
         can_join=lambda *_: True,  # none has memory that needs an integration of its own
     )
-    chosen = [
+    chosen_fits = [
         joint[_to_fitted_law(law)].fit for law, joint in zip(choice.laws, judged, strict=True)
     ]
     model = finish_model(
         records,
         robot,
-        chosen,
+        chosen_fits,
         provenance=provenance or {},
         workers=workers,
         report=lambda *_: None,
@@ -100,6 +97,18 @@ def choose_from_commands(
     )
     sentences = [*describe_choice(choice), *_describe_ties(errors, judged, choice.laws)]
     return replace(model, provenance={**model.provenance, CHOOSE: sentences})
+
+
+def _number_folds(joint_records: Sequence[ServoRecord]) -> list[Integers]:
+    """Return the fold of each row (N,) of each log."""
+    names = [record.log for record in joint_records]
+    times = [record.t for record in joint_records]
+    return [numbers.astype(int) for numbers in number_rows(names, times, FOLD_COUNT)]
+
+
+def _find_common_laws(laws: Iterable[str], judged: Sequence[Mapping[str, _Judgement]]) -> list[str]:
+    """Return the laws that could be fitted to all joints."""
+    return [law for law in laws if all(law in joint for joint in judged)]
 
 
 def _describe_ties(
@@ -129,27 +138,29 @@ def _list_laws(laws: Sequence[str]) -> list[str]:
     return list(dict.fromkeys([*baselines, *(laws or select_laws(FROM_COMMANDS))]))
 
 
-def _keep_simple_laws(errors: LeftOutErrors, fitted: Sequence[str]) -> LeftOutErrors:
+def _keep_simple_laws(errors: LeftOutErrors, laws: Sequence[str]) -> LeftOutErrors:
     """Return the errors of the baselines, and of each joint's simplest law that none beats.
 
     Laws contain each other: the last ones predict as well as the true one, with coefficients that
     the motion does not determine.
     """
-    kept = {NoFriction.name, Constant.name, CoulombViscous.name}
+    simple_laws = {NoFriction.name, Constant.name, CoulombViscous.name}
     for j in range(len(errors.joints)):
-        unbeaten = (
-            law
-            for law in fitted
-            if not any(is_better(errors, other, law, j) for other in errors.laws)
-        )
-        kept.add(next(unbeaten))
-    simple = {law: values for law, values in errors.errors.items() if law in kept}
-    return replace(errors, errors=simple, joint_errors=simple)
+        simple_laws.add(next(law for law in laws if not _is_beaten(errors, law, j)))
+    simple_errors = {law: values for law, values in errors.errors.items() if law in simple_laws}
+    return replace(errors, errors=simple_errors, joint_errors=simple_errors)
+
+
+def _is_beaten(errors: LeftOutErrors, law: str, j: int) -> bool:
+    """Return whether any law predicts a joint better than this one."""
+    return any(is_better(errors, other, law, j) for other in errors.laws)
 
 
 def _to_fitted_law(law: str) -> str:
     """Return the law that was fitted for a chosen one: no friction in place of an offset."""
-    return NoFriction.name if law == Constant.name else law
+    if law == Constant.name:
+        return NoFriction.name
+    return law
 
 
 def _judge_all(
@@ -162,7 +173,7 @@ def _judge_all(
 ) -> list[dict[str, _Judgement]]:
     """Return the judgements of all laws that can be fitted, by joint."""
     kind = robot.description.servo.kind
-    pairs = [(j, law) for j in range(robot.n) for law in laws]
+    pairs = list(product(range(robot.n), laws))
     jobs = [partial(_judge, records[j], law, kind, fold_of_row) for j, law in pairs]
     judged: list[dict[str, _Judgement]] = [{} for _ in records]
     labels = [f"{robot.joints[j]}, {law}" for j, law in pairs]
@@ -207,16 +218,14 @@ def _collect_errors(
         errors[law] = tuple(np.split(columns, ends))
     errors[Constant.name] = errors[NoFriction.name]
 
-    def collect(name: str) -> tuple[Array, ...]:
-        by_log = zip(*records, strict=True)
-        return tuple(
-            np.column_stack([getattr(record, name) for record in of_joints]) for of_joints in by_log
-        )
-
-    servo_errors = tuple(
-        np.column_stack([delay_commands(record, latency) - record.q for record in of_joints])
-        for of_joints in zip(*records, strict=True)
-    )
+    servo_errors = []
+    speeds = []
+    loads = []
+    for log_records in zip(*records, strict=True):
+        errors_by_joint = [delay_commands(record, latency) - record.q for record in log_records]
+        servo_errors.append(np.column_stack(errors_by_joint))
+        speeds.append(np.column_stack([record.dq for record in log_records]))
+        loads.append(np.column_stack([record.tau_load for record in log_records]))
     return LeftOutErrors(
         joints=tuple(joint_records[0].joint for joint_records in records),
         t=tuple(record.t for record in first),
@@ -224,9 +233,9 @@ def _collect_errors(
         fold_of_row=tuple(fold_of_row),
         errors=errors,
         joint_errors=errors,
-        tau=servo_errors,
-        dq=collect("dq"),
-        tau_load=collect("tau_load"),
+        tau=tuple(servo_errors),
+        dq=tuple(speeds),
+        tau_load=tuple(loads),
         counts=np.ones((FOLD_COUNT, len(records)), dtype=bool),
         failed={},
     )

@@ -100,8 +100,9 @@ def find_exponent(error: Array, dq: Array, size: Array) -> float:
         columns, values = _fit_current(error, dq, size, float(exponent))
         costs.append(float(np.mean((size - columns @ values) ** 2)))
     best = int(np.argmin(costs))
-    is_explained = costs[best] < (1.0 - _LEAST_EXPLAINED) * variance
-    return float(_EXPONENTS[best]) if is_explained else np.nan
+    if costs[best] < (1.0 - _LEAST_EXPLAINED) * variance:
+        return float(_EXPONENTS[best])
+    return np.nan
 
 
 def _fit_current(error: Array, dq: Array, size: Array, exponent: float) -> tuple[Array, Array]:

@@ -101,19 +101,24 @@ class JointEngine:
 
 def _starts(record: ServoRecord, servo: JointServo, substep: float) -> dict[str, float]:
     """Return the start values of a run; a joint that hardly moves starts at rest."""
-    return {
+    starts = {
         "q_start[1]": float(record.q[0]),
         "dq_start[1]": record.first_speed,
         "servo_kp[1]": servo.kp,
         "servo_ki[1]": servo.ki,
         "servo_kv[1]": servo.kd,
-        "torque_limit[1]": UNLIMITED if servo.torque_limit is None else servo.torque_limit,
+        "torque_limit[1]": UNLIMITED,
         "command_filter[1]": servo.command_filter,
-        "speed_limit[1]": UNLIMITED if servo.speed_limit is None else servo.speed_limit,
+        "speed_limit[1]": UNLIMITED,
         "latency": servo.latency,
         "substep": substep,
         "gravity[3]": 0.0,
     }
+    if servo.torque_limit is not None:
+        starts["torque_limit[1]"] = servo.torque_limit
+    if servo.speed_limit is not None:
+        starts["speed_limit[1]"] = servo.speed_limit
+    return starts
 
 
 def _export_axis(folder: Path, law: FrictionLaw, *, sliding: bool) -> Path:

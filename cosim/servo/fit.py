@@ -342,14 +342,18 @@ class _Search:
 
     def _find_huber(self, residual: Array) -> float:
         """Return the error [rad; m] beyond which errors (N,) count linearly."""
-        used = residual if self._is_used is None else residual[self._is_used]
-        spread = _MAD_TO_DEVIATION * float(np.median(np.abs(used)))
+        if self._is_used is not None:
+            residual = residual[self._is_used]
+        # The median ignores the outliers that the bound is to find.
+        spread = _MAD_TO_DEVIATION * float(np.median(np.abs(residual)))
         return _HUBER * max(spread, _LEAST_SPREAD)
 
     def compute_residual(self, numbers: Array) -> Array:
         """Return the position errors (N,); 0 where they do not count."""
         errors = self._problem.compute_errors(*self._problem.apply(self.unknowns, numbers))
-        return errors if self._is_used is None else np.where(self._is_used, errors, 0.0)
+        if self._is_used is None:
+            return errors
+        return np.where(self._is_used, errors, 0.0)
 
     def compute_cost(self, numbers: Array) -> float:
         """Return the mean size of the errors."""
@@ -499,10 +503,12 @@ def _start_law(
 ) -> FrictionLaw:
     """Return the law fitted to what the servo's error leaves by least squares."""
     friction = separate_friction(records, start)
-    fitted = law().fit(friction, np.random.default_rng(0))
+    fitted_law = law().fit(friction, np.random.default_rng(0))
+    values = dict(fitted_law.values)
     # An offset of the torque acts like a bias of the encoder; both count as 0.
-    no_offset = {TAU_0.name: 0.0} if TAU_0.name in fitted.values else {}
-    return replace(fitted, values={**fitted.values, **no_offset})
+    if TAU_0.name in values:
+        values[TAU_0.name] = 0.0
+    return replace(fitted_law, values=values)
 
 
 def _simplify_law(law: type[Estimator], fitted: FrictionLaw, start: ServoStart) -> FrictionLaw:
@@ -511,11 +517,12 @@ def _simplify_law(law: type[Estimator], fitted: FrictionLaw, start: ServoStart) 
     Least squares of many terms to a servo's error may start a fit far from its minimum.
     """
     sizes = {F_C.name: start.coulomb, F_S.name: start.coulomb, SIGMA_2.name: start.viscous}
-    linear = _find_space(law, fitted).linear
-    values = {
-        name: sizes.get(name, 0.0) if name in linear else value
-        for name, value in fitted.values.items()
-    }
+    linear_names = _find_space(law, fitted).linear
+    values = {}
+    for name, value in fitted.values.items():
+        values[name] = value
+        if name in linear_names:
+            values[name] = sizes.get(name, 0.0)
     return replace(fitted, values=values)
 
 

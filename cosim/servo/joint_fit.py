@@ -37,15 +37,21 @@ class FitUnknown:
 
     def encode(self, value: float) -> float:
         """Return the number of the search for a value."""
-        return float(np.log(value)) if self.is_logarithmic else value / self.scale
+        if self.is_logarithmic:
+            return float(np.log(value))
+        return value / self.scale
 
     def decode(self, number: float) -> float:
         """Return the value of a number of the search."""
-        return float(np.exp(number)) if self.is_logarithmic else number * self.scale
+        if self.is_logarithmic:
+            return float(np.exp(number))
+        return number * self.scale
 
     def slope(self, number: float) -> float:
         """Return the derivative of the value at a number of the search."""
-        return float(np.exp(number)) if self.is_logarithmic else self.scale
+        if self.is_logarithmic:
+            return float(np.exp(number))
+        return self.scale
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -89,22 +89,21 @@ def finish_model(
     The `latency` with its error [s] is by default that of the fits; `report` is called with the
     number of finished joints.
     """
-    if len(fits) == 1:
-        latency_error = None  # the fit's own
-        finished = list(fits)
-    else:
+    final_fits = list(fits)
+    latency_error: float | None = None  # the fit's own
+    if len(fits) > 1:
         common_latency, latency_error = latency or find_common_latency(fits)
-        finished = _refit_all(records, robot, fits, common_latency, workers, report)
-    results = _finish_joints(records, finished, latency_error, robot.description)
-    sentences = [
-        f"{joint}: {sentence}"
-        for joint, result in zip(robot.joints, results, strict=True)
-        for sentence in describe_servo(result)
-    ]
+        final_fits = _refit_all(records, robot, fits, common_latency, workers, report)
+    results = _finish_joints(records, final_fits, latency_error, robot.description)
+    sentences: list[str] = []
+    for joint, result in zip(robot.joints, results, strict=True):
+        sentences += [f"{joint}: {sentence}" for sentence in describe_servo(result)]
     periods = np.concatenate([np.diff(record.t) for record in records[0]])
-    law_names = {result.law.name for result in results}
+    law_name = results[0].law.name
+    if any(result.law.name != law_name for result in results):
+        law_name = MIXED
     return FrictionModel(
-        law=law_names.pop() if len(law_names) == 1 else MIXED,
+        law=law_name,
         robot=robot.description.name,
         joints=robot.joints,
         laws=tuple(result.law for result in results),
@@ -207,7 +206,6 @@ def find_common_latency(fits: Sequence[JointFit]) -> tuple[float, float]:
     mean = float(np.average(latencies, weights=weights))
     scatter = float(np.average((latencies - mean) ** 2, weights=weights)) / (len(pairs) - 1)
     is_known = np.isfinite(errors)
-    variance = (
-        float(np.sum((weights[is_known] * errors[is_known]) ** 2)) / float(np.sum(weights)) ** 2
-    )
+    known_variance = float(np.sum((weights[is_known] * errors[is_known]) ** 2))
+    variance = known_variance / float(np.sum(weights)) ** 2
     return mean, float(np.sqrt(variance + scatter))

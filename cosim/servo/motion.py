@@ -55,16 +55,15 @@ def run_plant(fmu: Path, log: Log) -> Array:
     positions, speeds = compute_commands(log)
     joints = range(1, log.q.shape[1] + 1)
     starts = {f"q_start[{number}]": float(log.q[0, number - 1]) for number in joints}
+    speed_names = [f"dq_cmd[{number}]" for number in joints]
+    position_names = [f"q_cmd[{number}]" for number in joints]
     rows = np.hstack([speeds, positions])
+    start_times = log.t[:-1] - log.t[0]
     with FmuInstance(fmu, name="plant") as instance:
-        inputs = instance.buffer(
-            [f"{name}[{number}]" for name in ("dq_cmd", "q_cmd") for number in joints]
-        )
+        inputs = instance.buffer(speed_names + position_names)
         outputs = instance.buffer([f"q[{number}]" for number in joints])
         inputs.values[:] = rows[0]
         instance.initialise(start=starts, inputs=inputs)
-        first = outputs.read().copy()
-        reached = step_rows(
-            instance, inputs, outputs, log.t[:-1] - log.t[0], np.diff(log.t), rows[:-1]
-        )
-    return np.vstack([first, reached])
+        first_row = outputs.read().copy()
+        later_rows = step_rows(instance, inputs, outputs, start_times, np.diff(log.t), rows[:-1])
+    return np.vstack([first_row, later_rows])

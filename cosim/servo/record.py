@@ -178,4 +178,6 @@ def _find_first_speed(record: ServoRecord) -> float:
     step = float(np.min(changes[changes > 0.0], initial=np.inf))
     noise = max(float(np.std(columns @ coefficients - q)), step / np.sqrt(12.0))
     error = noise * np.sqrt(np.linalg.inv(columns.T @ columns)[1, 1])
-    return 0.0 if abs(coefficients[1]) < _CLEAR * error else smoothed
+    if abs(coefficients[1]) < _CLEAR * error:
+        return 0.0
+    return smoothed

@@ -132,8 +132,9 @@ def _read_current(records: Sequence[ServoRecord], fit: JointFit) -> CurrentReadi
         torque = commands - record.q - residual
         if fit.servo.kd > 0.0:
             torque = torque + fit.servo.kd * (record.dq_cmd - record.dq)
-        most = np.inf if fit.servo.torque_limit is None else fit.servo.torque_limit
-        servo_errors.append(np.clip(torque, -most, most))
+        if fit.servo.torque_limit is not None:
+            torque = np.clip(torque, -fit.servo.torque_limit, fit.servo.torque_limit)
+        servo_errors.append(torque)
     return read_current(records, servo_errors, fit.blocks)
 
 
@@ -181,8 +182,9 @@ def _find_intervals(
         intervals["latency"] = NORMAL_QUANTILE * latency_error
     if scale.source == "none":
         return intervals  # the gain over itself is 1
-    stated_width = NORMAL_QUANTILE * (scale.error or 0.0)
-    relative_width = stated_width if scale.reference is None else widths[scale.reference]
+    relative_width = NORMAL_QUANTILE * (scale.error or 0.0)
+    if scale.reference is not None:
+        relative_width = widths[scale.reference]
     return {**intervals, "kp": scale.gain * relative_width}
 
 
@@ -206,12 +208,14 @@ def _separate_links(
 def _power_of_torque(name: str, law: FrictionLaw) -> int:
     """Return the power of the torque in the unit of a coefficient, or of a value of the servo."""
     units = {coefficient.name: coefficient.unit for coefficient in law.form.coefficients}
-    if name not in units:
+    if name not in units:  # a value of the servo
         return 0 if name in _UNSCALED else 1
     unit = units[name].replace("(N.m)", _TORQUE)
     if unit.startswith(_TORQUE):
         return 1
-    return -1 if f"/{_TORQUE}" in unit else 0
+    if f"/{_TORQUE}" in unit:
+        return -1
+    return 0
 
 
 def _to_friction_record(record: ServoRecord, servo: JointServo, law: FrictionLaw) -> FrictionRecord:
@@ -248,4 +252,6 @@ def _find_gravity_range(records: Sequence[ServoRecord]) -> float:
     """Return the range of gravity over its mean size."""
     bias = np.concatenate([record.bias for record in records])
     mean = abs(float(np.mean(bias)))
-    return float(np.ptp(bias)) / mean if mean > 0.0 else np.inf
+    if mean > 0.0:
+        return float(np.ptp(bias)) / mean
+    return np.inf

@@ -71,7 +71,9 @@ def find_scale(
     if not known:
         return TorqueScale(source="none")
     best = min(known, key=lambda candidate: candidate.total_error)
-    return best if best.source == "gravity" else _compare(best, gravity=gravity)
+    if best.source == "gravity":
+        return best
+    return _compare(best, gravity=gravity)
 
 
 def find_shared_scale(scales: Sequence[TorqueScale]) -> TorqueScale | None:
@@ -144,5 +146,6 @@ def _compare(scale: TorqueScale, *, gravity: TorqueScale | None) -> TorqueScale:
         return scale
     ratio = scale.gain / gravity.gain
     spread = np.hypot(scale.total_error, gravity.total_error)
-    is_contradiction = abs(np.log(ratio)) > _CONTRADICTION * spread
-    return replace(scale, contradiction=ratio) if is_contradiction else scale
+    if abs(np.log(ratio)) > _CONTRADICTION * spread:
+        return replace(scale, contradiction=ratio)
+    return scale

@@ -47,9 +47,10 @@ def _describe_values(result: ServoResult) -> str:
         shown_unit = unit if has_scale else ratio_unit
         if not value or not shown_unit:
             continue
-        width = fitted.intervals.get(name)
-        spread = "" if width is None else f" +- {factor * width:.2g}"
-        values.append(f"{title} {factor * value:.4g}{spread} {shown_unit}")
+        text = f"{title} {factor * value:.4g}"
+        if name in fitted.intervals:
+            text += f" +- {factor * fitted.intervals[name]:.2g}"
+        values.append(f"{text} {shown_unit}")
     return (
         f"{', '.join(values)}; position error {1e3 * fitted.position_rmse:.3g} mrad, "
         f"{1e3 * fitted.ideal_rmse:.3g} of an ideal servo"
@@ -83,7 +84,9 @@ def _list_bounds(result: ServoResult) -> Iterator[str]:
     """Yield bounds of what the motion did not show."""
     servo = result.servo.servo
     has_scale = result.servo.scale != "none"
-    unit = "N.m" if has_scale else "rad of the servo's error"
+    unit = "rad of the servo's error"
+    if has_scale:
+        unit = "N.m"
     if servo.torque_limit is None and servo.ki == 0.0:
         yield f"torque limit: at least {servo.kp * result.largest_error:.3g} {unit}"
     if result.usual_friction < _LEAST_FRICTION * result.encoder_step:
