@@ -145,7 +145,7 @@ def _render_chapters(
     progress: Stages,
 ) -> list[RenderedChapter]:
     """Render the summary, then the other chapters, without those that have no data."""
-    workers = 1  # starting processes for one page costs more
+    workers: int | None = 1  # starting processes for one page costs more
     if parallel.is_sharing() and not brief:
         workers = None
     jobs = [partial(render_chapter, chapter) for chapter in chapters]

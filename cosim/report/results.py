@@ -210,7 +210,7 @@ class Results:
         properties_path = folder / "properties.json"
         if properties_path.is_file() and not run.quick:
             properties = read_properties(properties_path)
-        simulated = {}
+        simulated: Mapping[str, PositionErrors] = {}
         simulation_path = folder / SIMULATION
         if simulation_path.is_file():
             simulated = _read_by_test(PositionErrors, simulation_path, "the simulations of a run")

@@ -108,7 +108,8 @@ def _number_folds(joint_records: Sequence[ServoRecord]) -> list[Integers]:
 
 def _find_common_laws(laws: Iterable[str], judged: Sequence[Mapping[str, _Judgement]]) -> list[str]:
     """Return the laws that could be fitted to all joints."""
-    return [law for law in laws if all(law in joint for joint in judged)]
+    fitted_to_all = set.intersection(*map(set, judged))
+    return [law for law in laws if law in fitted_to_all]
 
 
 def _describe_ties(

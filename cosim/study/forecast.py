@@ -24,15 +24,21 @@ class Forecast:
     @classmethod
     def from_logs(cls, logs: Iterable[Path]) -> "Forecast | None":
         """Read the plan next to the last log that has one."""
-        paths = [path for log in logs if (path := log.with_suffix(SUFFIX)).is_file()]
-        return from_json(cls, read_json(paths[-1], FORMAT), paths[-1], "a plan") if paths else None
+        plan_paths = [log.with_suffix(SUFFIX) for log in logs]
+        known_paths = [path for path in plan_paths if path.is_file()]
+        if not known_paths:
+            return None
+        path = known_paths[-1]
+        return from_json(cls, read_json(path, FORMAT), path, "a plan")
 
     def ratios(self, models: Mapping[str, FrictionModel]) -> dict[tuple[str, str, str], float]:
         """Return the standard errors of fits over the expected ones, by law, joint, coefficient."""
         ratios = {}
         for law_name, joints in self.widths.items():
-            model = models.get(law_name)
-            for joint, friction_law in zip(model.joints, model.laws, strict=True) if model else ():
+            if law_name not in models:
+                continue
+            model = models[law_name]
+            for joint, friction_law in zip(model.joints, model.laws, strict=True):
                 for name, error in friction_law.standard_errors.items():
                     expected = joints.get(joint, {}).get(name)
                     if expected and error > 0.0:
@@ -61,4 +67,6 @@ class Forecast:
             parts.append(
                 f"differences of {shown_percent:.0f} % show ({expected_percent:.0f} % expected)"
             )
-        return f"Planned motion: {'; '.join(parts)}." if parts else ""
+        if not parts:
+            return ""
+        return f"Planned motion: {'; '.join(parts)}."

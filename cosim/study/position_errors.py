@@ -13,6 +13,7 @@ from fmu_src.friction.predictions import Records
 from hesr_model.errors import SimulationError
 from hesr_model.forward import simulation
 from hesr_model.friction.model import FrictionModel
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot
 from hesr_model.support import parallel
@@ -39,20 +40,12 @@ def simulate_tests(
     models: Mapping[str, FrictionModel], tests: Mapping[str, Records], robot: Robot, body: RigidBody
 ) -> dict[str, PositionErrors]:
     """Score laws as simulators on test sets; those that cannot be simulated are left out."""
-    # Windows of all `LENGTHS`, then whole logs.
     windows_by_test: dict[str, list[simulation.Windows]] = {}
     for test, records in tests.items():
-        records_by_log = transpose_records(records)
         try:
-            windows_by_test[test] = [
-                simulation.cut_windows(records_by_log, length) for length in LENGTHS
-            ]
+            windows_by_test[test] = _cut_test(transpose_records(records), robot, body)
         except SimulationError as error:
             _warn(error)
-            continue
-        # Whole logs only without gravity: an upright arm diverges with any friction.
-        if simulation.is_weightless(records_by_log, robot, body):
-            windows_by_test[test] += map(simulation.to_single_window, records_by_log)
     all_windows = list(chain.from_iterable(windows_by_test.values()))
     jobs = [
         partial(_compute_window_errors, model, all_windows, robot, body)
@@ -67,25 +60,42 @@ def simulate_tests(
             return {}
         iterators[law_name] = iter(errors)
     joints = tuple(robot.description.joints)
-    length_count = len(LENGTHS)
     errors_by_test = {}
     for test, test_windows in windows_by_test.items():
         errors_by_law = {
             law_name: tuple(islice(iterator, len(test_windows)))
             for law_name, iterator in iterators.items()
         }
-        log_windows = test_windows[length_count:]
-        errors_by_test[test] = PositionErrors(
-            joints=joints,
-            lengths=LENGTHS,
-            windows={law_name: errors[:length_count] for law_name, errors in errors_by_law.items()},
-            open_loop={
-                law_name: _average_logs(errors[length_count:], log_windows)
-                for law_name, errors in errors_by_law.items()
-                if log_windows
-            },
-        )
+        errors_by_test[test] = _collect_errors(joints, errors_by_law, test_windows)
     return errors_by_test
+
+
+def _cut_test(
+    records: Sequence[Sequence[FrictionRecord]], robot: Robot, body: RigidBody
+) -> list[simulation.Windows]:
+    """Return the windows of records [log][joint]: those of all `LENGTHS`, then whole logs."""
+    windows = [simulation.cut_windows(records, length) for length in LENGTHS]
+    # Whole logs only without gravity: an upright arm diverges with any friction.
+    if simulation.is_weightless(records, robot, body):
+        windows += map(simulation.to_single_window, records)
+    return windows
+
+
+def _collect_errors(
+    joints: tuple[str, ...],
+    errors_by_law: Mapping[str, tuple[_Errors, ...]],
+    test_windows: Sequence[simulation.Windows],
+) -> PositionErrors:
+    """Return the errors by law and window of `_cut_test` as those of one test."""
+    length_count = len(LENGTHS)
+    log_windows = test_windows[length_count:]
+    windows = {}
+    open_loop = {}
+    for law_name, errors in errors_by_law.items():
+        windows[law_name] = errors[:length_count]
+        if log_windows:
+            open_loop[law_name] = _average_logs(errors[length_count:], log_windows)
+    return PositionErrors(joints=joints, lengths=LENGTHS, windows=windows, open_loop=open_loop)
 
 
 def _warn(reason: SimulationError) -> None:
@@ -114,12 +124,13 @@ def _compute_window_errors(
 
 
 def _average_logs(errors: Sequence[_Errors], log_windows: Sequence[simulation.Windows]) -> _Errors:
+    """Return the RMS error of each joint over all rows of the logs; None if a log diverges."""
     row_counts = [window.t.shape[1] for window in log_windows]
-    return tuple(
-        None
-        if None in joint_errors
-        else float(
-            np.sqrt(np.average(np.square(np.array(joint_errors, dtype=float)), weights=row_counts))
-        )
-        for joint_errors in zip(*errors, strict=True)
-    )
+    mean_errors: list[float | None] = []
+    for joint_errors in zip(*errors, strict=True):
+        if None in joint_errors:
+            mean_errors.append(None)
+            continue
+        squares = np.square(np.array(joint_errors, dtype=float))
+        mean_errors.append(float(np.sqrt(np.average(squares, weights=row_counts))))
+    return tuple(mean_errors)

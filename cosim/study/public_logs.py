@@ -6,6 +6,7 @@ import shutil
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -162,7 +163,9 @@ def _find_source(clone: Path) -> PublicSource:
             where=clone,
             key="public",
         )
-    files = [source.model] if source.model else []
+    files = []
+    if source.model:
+        files.append(source.model)
     for log in source.logs:
         files += source.list_files(log)
     for name in files:
@@ -206,9 +209,9 @@ def _read_rows(path: Path, table: SourceTable, first_row: int, end_row: int) -> 
         if table.is_stacked:
             numbers = np.array(lines[first_row * width : end_row * width], dtype=float)
             return numbers.reshape(end_row - first_row, width)
-        cells = [line.split(",") for line in lines[first_row:end_row]]
-        rows = np.array([[row[k] for k in places] for row in cells], dtype=float)
-        return rows.reshape(end_row - first_row, width)
+        select_cells = itemgetter(*places)
+        rows = [select_cells(line.split(",")) for line in lines[first_row:end_row]]
+        return np.array(rows, dtype=float).reshape(end_row - first_row, width)
     except (IndexError, ValueError) as error:
         raise ConfigError(
             f"{path}: has no numbers in rows {first_row} to {end_row}; it is another file.",

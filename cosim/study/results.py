@@ -1,7 +1,7 @@
 """Saved results of a run: `run.json`, `health.json` and torque traces."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path, PurePath
@@ -114,16 +114,13 @@ def save_run(folder: Path, run: ScoredRun, *, command: str, quick: bool) -> None
     """Write `run.json`, and the torques of training logs and of the first log of each role."""
     study = run.study
     description = run.robot.description
-    files = run.files
-    traces = _save_torques(folder / TRACES, run)
-    stems = Counter(log.name for log in run.logs.values())
-    twin = {"mujoco": version("mujoco")} if study.twin else {}
-    identification = (*study.logs.identification, *study.logs.reversed)
-    names_by_role = {
-        "identification": identification,
-        "training": study.logs.training,
-        **study.logs.judged,
-    }
+    versions = dict(run.source["versions"])
+    if study.twin:
+        versions["mujoco"] = version("mujoco")
+    versions["fmpy"] = version("fmpy")
+    controller: Mapping[str, Any] = {}
+    if study.tracking:
+        controller = study.tracking.model_dump(mode="json")
     saved = SavedRun(
         study=study.name,
         command=command,
@@ -135,28 +132,39 @@ def save_run(folder: Path, run: ScoredRun, *, command: str, quick: bool) -> None
         truth=study.truth,
         quick=quick,
         seed=study.seed,
-        logs=tuple(
-            SavedLog(
-                name=log.name if stems[log.name] == 1 else name,
-                file=_file(name, files[name]),
-                sha256=sha256(files[name]),
-                roles=tuple(role for role, names in names_by_role.items() if name in names),
-                rows=len(log.t),
-                duration=float(log.t[-1] - log.t[0]),
-                rate=float(1.0 / np.median(np.diff(log.t))),
-                trace=traces.get(name, ""),
-                sample=is_sample(files[name]),
-            )
-            for name, log in run.logs.items()
-        ),
+        logs=tuple(_describe_logs(run, _save_torques(folder / TRACES, run))),
         bands=study.bands,
         inputs={law_name: name_inputs(model) for law_name, model in run.models.items()},
         variants={name: variant.law for name, variant in study.variants.items()},
         left_out=run.left_out,
-        controller=study.tracking.model_dump(mode="json") if study.tracking else {},
-        versions={**run.source["versions"], **twin, "fmpy": version("fmpy")},
+        controller=controller,
+        versions=versions,
     )
     write_json(folder / RUN, {"format": RUN_FORMAT, **to_json(saved)})
+
+
+def _describe_logs(run: ScoredRun, traces: Mapping[str, str]) -> Iterator[SavedLog]:
+    """Yield the description of each log; `traces` are files by log."""
+    logs = run.study.logs
+    names_by_role = {
+        "identification": (*logs.identification, *logs.reversed),
+        "training": logs.training,
+        **logs.judged,
+    }
+    stem_counts = Counter(log.name for log in run.logs.values())
+    for name, log in run.logs.items():
+        file = run.files[name]
+        yield SavedLog(
+            name=log.name if stem_counts[log.name] == 1 else name,
+            file=_file(name, file),
+            sha256=sha256(file),
+            roles=tuple(role for role, names in names_by_role.items() if name in names),
+            rows=len(log.t),
+            duration=float(log.t[-1] - log.t[0]),
+            rate=float(1.0 / np.median(np.diff(log.t))),
+            trace=traces.get(name, ""),
+            sample=is_sample(file),
+        )
 
 
 def record_files(folder: Path, results: Path | None = None) -> None:
@@ -173,8 +181,9 @@ def record_files(folder: Path, results: Path | None = None) -> None:
 
 def _file(name: str, file: Path) -> str:
     inside = PurePath(name)
-    is_inside = file.match(name) and not inside.is_absolute() and ".." not in inside.parts
-    return inside.as_posix() if is_inside else file.name
+    if file.match(name) and not inside.is_absolute() and ".." not in inside.parts:
+        return inside.as_posix()
+    return file.name
 
 
 def _save_torques(folder: Path, run: ScoredRun) -> dict[str, str]:
@@ -183,10 +192,10 @@ def _save_torques(folder: Path, run: ScoredRun) -> dict[str, str]:
         name: {} for name in (logs.identification[0], *logs.training)
     }
     for test, names in logs.judged.items():
-        torques_by_log[names[0]] = {
-            law_name: [joint_torques[0] for joint_torques in predicted]
-            for law_name, predicted in run.predictions[test].items()
-        }
+        first_log_torques = {}
+        for law_name, law_torques in run.predictions[test].items():
+            first_log_torques[law_name] = [joint_torques[0] for joint_torques in law_torques]
+        torques_by_log[names[0]] = first_log_torques
     traces = {}
     for k, (name, predicted) in enumerate(torques_by_log.items(), start=1):
         traces[name] = f"torques_{k}.npz"

@@ -33,6 +33,7 @@ from hesr_model.health.examine import check_body, check_laws, check_logs
 from hesr_model.inference.choice import LawChoice
 from hesr_model.inference.folds import MIN_FOLDS
 from hesr_model.logs.robot_log import Log
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot
@@ -296,7 +297,7 @@ def _records_with_history(
     """Return the records of each part of the logs; a tested part includes all rows before it."""
     extended_records = {}
     for name, log in logs.items():
-        parts = log.parts()
+        parts: Sequence[Log] = log.parts()
         if name in job.tested_on:
             history_log = job.read_with_history(name, files[name])
             if history_log is not None:
@@ -313,7 +314,7 @@ def _extend_parts(log: Log, history_log: Log) -> list[Log]:
 
 def _records_of_logs(logs: Mapping[str, Log], extended_records: LogRecords) -> LogRecords:
     """Return the records of the logs themselves, which are the last rows of `extended_records`."""
-    records = {}
+    records: dict[str, list[list[FrictionRecord]]] = {}
     for name, log in logs.items():
         records[name] = []
         for part, part_records in zip(log.parts(), extended_records[name], strict=True):

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from statistics import fmean
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -63,13 +63,22 @@ class Ratios:
 
 @dataclass(frozen=True, kw_only=True)
 class LawScores:
-    """Errors of a law per joint [N.m; `r2` has no unit]; None without rows of that kind."""
+    """Errors of a law, one per joint; None without rows of that kind.
+
+    Attributes
+    ----------
+    rmse : RMSE of the friction over all rows [N.m].
+    rmse_reversal : within 0.1 s of velocity reversals [N.m].
+    rmse_moving : while moving [N.m].
+    r2 : coefficient of determination.
+    rmse_rest : at rest [N.m]; empty in results of earlier versions.
+    """
 
     rmse: tuple[float, ...]
     rmse_reversal: tuple[float | None, ...]
     rmse_moving: tuple[float | None, ...]
     r2: tuple[float | None, ...]
-    rmse_rest: tuple[float | None, ...] = ()  # empty in earlier versions
+    rmse_rest: tuple[float | None, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,24 +100,37 @@ class Unseparated:
 class Comparison:
     """Scores of several laws on the same logs.
 
-    Predictions use a causal velocity, `zero_phase` (RMSE) that of the fits. By joint, `leading` has
-    the law with the lowest error and all not significantly worse (Holm), `detectable` the smallest
-    ratio that would show each other law to be worse, if any, and `unseparated` what the test says
-    of each law. With several logs all this holds for other logs of the kind, else on this log.
+    Predictions use a causal velocity. What is said of the separation of laws holds for other logs
+    of the kind with several logs, else on this log.
+
+    Attributes
+    ----------
+    joints : names.
+    tau_std : standard deviation of the friction by joint [N.m].
+    laws : errors by law.
+    ratios : errors over those of references.
+    leading : by joint the law with the lowest error and all not significantly worse (Holm).
+    per_log : nuisances that were fitted to each test log; None if the study has none.
+    bands : coverage of the 95 % bands, by law and joint.
+    detectable : by joint the smallest ratio that would show each other law to be worse, if any.
+    seconds : by joint the length [s] of a test that finds `RECORDED`, for the median law.
+    zero_phase : RMSE by law and joint [N.m] with the velocity of the fits, without lag.
+    unseparated : by joint what the test says of each law; empty in earlier versions.
+    log_count : number of logs; 0 in earlier versions.
     """
 
     joints: tuple[str, ...]
-    tau_std: tuple[float, ...]  # standard deviation of friction [N.m]
+    tau_std: tuple[float, ...]
     laws: Mapping[str, LawScores]
     ratios: Ratios
     leading: tuple[tuple[str, ...], ...] = ()
-    per_log: tuple[str, ...] | None = None  # fitted to each test log
-    bands: Mapping[str, tuple[BandScore, ...]] = field(default_factory=dict)  # coverage of 95 %
+    per_log: tuple[str, ...] | None = None
+    bands: Mapping[str, tuple[BandScore, ...]] = field(default_factory=dict)
     detectable: tuple[Mapping[str, float], ...] = ()
-    seconds: tuple[float, ...] = ()  # [s] test that finds `RECORDED`, median
-    zero_phase: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # RMSE without lag
-    unseparated: tuple[Mapping[str, Unseparated], ...] = ()  # empty in earlier versions
-    log_count: int = 0  # unknown in earlier versions
+    seconds: tuple[float, ...] = ()
+    zero_phase: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    unseparated: tuple[Mapping[str, Unseparated], ...] = ()
+    log_count: int = 0
 
     @property
     def too_short(self) -> tuple[bool, ...]:
@@ -437,7 +459,15 @@ def _band_scores(
         torques = predictions[law_name]
         bands = []
         for motion, log_torques in zip(motions, zip(*torques, strict=True), strict=True):
-            bands.append(compute_band(model, **motion, torque=np.column_stack(log_torques)))
+            band = compute_band(
+                model,
+                t=motion.t,
+                dq=motion.dq,
+                q=motion.q,
+                tau_load=motion.tau_load,
+                torque=np.column_stack(log_torques),
+            )
+            bands.append(band)
         joint_scores = []
         for j, joint_records in enumerate(records):
             joint_bands = [(lower[:, j], upper[:, j]) for lower, upper in bands]
@@ -446,12 +476,24 @@ def _band_scores(
     return scores
 
 
-def _stack_motion(log_records: Sequence[FrictionRecord]) -> dict[str, Array]:
-    """Return the causal motion of all joints in one log: t (N,), and (N, n) of each quantity."""
-    motion = {"t": log_records[0].t}
-    for name in ("dq", "q", "tau_load"):
-        motion[name] = np.column_stack([record.causal.motion[name] for record in log_records])
-    return motion
+class _Motion(NamedTuple):
+    """Motion of all joints in one log: t (N,), and (N, n) of each other quantity."""
+
+    t: Array
+    dq: Array
+    q: Array
+    tau_load: Array
+
+
+def _stack_motion(log_records: Sequence[FrictionRecord]) -> _Motion:
+    """Return the motion of a log with the velocity that a user of an FMU has."""
+    motions = [record.causal.motion for record in log_records]
+    return _Motion(
+        t=log_records[0].t,
+        dq=np.column_stack([motion["dq"] for motion in motions]),
+        q=np.column_stack([motion["q"] for motion in motions]),
+        tau_load=np.column_stack([motion["tau_load"] for motion in motions]),
+    )
 
 
 def _choose_reference(

@@ -630,7 +630,7 @@ def _add_left_out_errors(
     torques = {}
     for law_name, law_errors in left_out.joint_errors.items():
         # A log that is split at gaps has several errors.
-        errors_by_log = defaultdict(list)
+        errors_by_log: dict[str, list[Array]] = defaultdict(list)
         for log_name, errors in zip(left_out.log_names, law_errors, strict=True):
             errors_by_log[log_name].append(errors)
         ordered_errors = list(chain.from_iterable(errors_by_log[name] for name in names))

@@ -41,11 +41,18 @@ KINDS = ("static", "references", "convention")  # kinds of HESR's own checks
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class FmuReport(Answer):
-    """Result of `hesr.check`: a report for each file, in the order of the arguments."""
+    """Result of `hesr.check`.
+
+    Attributes
+    ----------
+    reports : a report for each file, in the order of the arguments.
+    conventions : errors of the input conventions by file, for the kind ``convention``.
+    files : written files.
+    """
 
     format = "hesr-fmu-report-1"
     reports: Sequence[Report]
-    conventions: Mapping[Path, Convention] = field(default_factory=dict)  # for that kind
+    conventions: Mapping[Path, Convention] = field(default_factory=dict)
     files: Sequence[Path] = ()
 
     @property

@@ -26,12 +26,21 @@ _TABLES = (".csv", ".parquet", ".pq")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExcitationDesign:
-    """A designed excitation and its files."""
+    """A designed excitation and its files.
+
+    Attributes
+    ----------
+    excitation : motion [rad; m] with its condition number.
+    random_condition : median condition number of random motions within the same limits.
+    forward : table of the motion.
+    backward : table of the time-reversed motion.
+    picture : figure of the motion with its limits.
+    """
 
     excitation: Excitation
-    random_condition: float  # median condition of W_b over 200 random motions
+    random_condition: float
     forward: Path
-    backward: Path  # time-reversed
+    backward: Path
     picture: Path
 
 
@@ -150,6 +159,13 @@ def excite(
             f"{path}: the motion is written as a table; the suffix must be one of "
             f"{', '.join(_TABLES)}."
         )
+    return _design_for_body(robot_path, settings_path, path, progress)
+
+
+def _design_for_body(
+    robot_path: Path, settings_path: Path | None, path: Path, progress: Stages
+) -> ExcitationDesign:
+    """Design the motion that identifies the body best; write it, its reverse and a picture."""
     backward = path.with_stem(f"{path.stem}_reversed")
     picture = path.with_suffix(".png")
     require_writable(path, backward, picture)

@@ -35,14 +35,24 @@ _MASS_ERROR = 0.2  # relative error of the model's masses by default, one sigma
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Inspection(Answer):
-    """Result of `hesr.inspect`: proposed robot file with reasons, its logs and findings."""
+    """Result of `hesr.inspect`.
+
+    Attributes
+    ----------
+    proposal : proposed robot file with reasons, its logs and findings.
+    constants : estimated torque constants [N.m/A], one per joint; empty if not requested.
+    next_command : command that follows; empty if there is none.
+    failure : reason why no study can run.
+    currents : kinds of unsigned currents, by joint.
+    files : written files.
+    """
 
     format = "hesr-inspection-1"
     proposal: Proposal
     constants: Sequence[TorqueConstant] = ()
     next_command: str = ""
-    failure: str = ""  # reason why no study can run
-    currents: Sequence[str] = ()  # kinds of unsigned currents, by joint
+    failure: str = ""
+    currents: Sequence[str] = ()
     files: Sequence[Path] = field(default_factory=tuple)
 
     @property

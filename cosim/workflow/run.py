@@ -34,7 +34,14 @@ _CACHED = {"binaries": "compiled libraries", "functions": "C functions", "valid"
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class RunResult(Answer):
-    """Result of `hesr.run`: body, laws, FMUs, scores and verdict in `outcome`."""
+    """Result of `hesr.run`.
+
+    Attributes
+    ----------
+    folder : folder of the results.
+    outcome : body, laws, FMUs, scores and verdict.
+    findings : warnings of the checks, and accepted errors.
+    """
 
     format = "hesr-run-1"
     folder: Path

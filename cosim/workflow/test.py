@@ -59,9 +59,21 @@ KINDS = ("prediction", "passivity")  # kinds of the core; others are plug-ins
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class LawReport(Answer):
-    """Result of `hesr.test` by law; `scores` and `positions` [rad, m] are None if not predicted.
+    """Result of `hesr.test`.
 
-    `replicates` is None if no motion of the logs occurs twice.
+    Attributes
+    ----------
+    laws : the tested laws.
+    scores : errors of predicted torques [N.m]; None without a prediction.
+    positions : errors of simulated positions [rad; m]; None without a simulation.
+    replicates : parts of the errors that repeat; None if no motion of the logs occurs twice.
+    records : friction of the logs [joint][part].
+    motions : errors of motion from commands, by law and log; of logs without torque only.
+    audits : passivity by law.
+    properties : physics checks by law.
+    others : results of kinds from plug-ins, by kind.
+    findings : what the checks of logs and laws found.
+    files : written files.
     """
 
     format = "hesr-law-report-1"
@@ -73,7 +85,7 @@ class LawReport(Answer):
     motions: Mapping[str, Sequence[MotionErrors]] = field(default_factory=dict)
     audits: Mapping[str, ModelAudit] = field(default_factory=dict)
     properties: Mapping[str, Properties] = field(default_factory=dict)
-    others: Mapping[str, Answer] = field(default_factory=dict)  # of kinds from plug-ins
+    others: Mapping[str, Answer] = field(default_factory=dict)
     findings: Sequence[Finding] = ()
     files: Sequence[Path] = ()
 

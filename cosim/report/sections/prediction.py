@@ -40,7 +40,7 @@ def errors_of_tests(results: Results) -> dict[str, Any]:
     law_ratios = results.comparisons[test].ratios
     reference = "its reference" if law_ratios.fair else title(law_ratios.reference)
     ratios_by_title = {title(law_name): row for law_name, row in law_ratios.laws.items()}
-    values = {
+    values: dict[str, Any] = {
         "test": test,
         "has_tests": results.has_tests,
         "reference": reference,
@@ -75,7 +75,7 @@ def _test(results: Results, test: str) -> dict[str, Any]:
     window = None
     if log and log.duration > 1.5 * WINDOW:
         window = (0.0, WINDOW)
-    values = {
+    values: dict[str, Any] = {
         "name": test,
         "errors": table,
         "parts": parts,

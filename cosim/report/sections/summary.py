@@ -37,7 +37,7 @@ def summary(results: Results) -> dict[str, Any]:
     laws = results.recommended
     findings = read_findings(results.folder)
     first_findings = findings[:_MAX_LISTED_FINDINGS]
-    values = {
+    values: dict[str, Any] = {
         "run": results.run,
         "verdict": results.verdict,
         "law": table.join_law_titles(laws),
