@@ -33,7 +33,11 @@ from hesr_model.robots.servo_description import ServoKind
 from hesr_model.support.arrays import Array, Integers, Mask
 
 _START_FACTORS = (1.0, 0.5, 2.0)  # of all torques over the gain
-_SEARCH_RUNS, _POLISH_RUNS, _FOLD_RUNS, _FINE_RUNS = 8, 30, 6, 20  # most evaluations
+# Most evaluations of a search.
+_SEARCH_RUNS = 8
+_POLISH_RUNS = 30
+_FOLD_RUNS = 6
+_FINE_RUNS = 20
 _DESCENTS = 8  # most steps with one Jacobian
 _SETTLED = 1e-6  # relative fall of the loss that ends them
 _NEARLY = 0.998  # of the loss: a greater fall in the last steps needs a further search

@@ -15,7 +15,8 @@ from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
 _ROUND_OFF = 1e-9  # of positions [rad; m]
-_FIRST_ROWS, _FIRST_SECONDS = 10, 0.03  # least rows and time that show the first speed
+_FIRST_ROWS = 10  # least rows that show the first speed
+_FIRST_SECONDS = 0.03  # least time that shows the first speed
 _CLEAR = 3.0  # least first speed, in its standard errors
 _RESTING = 1e-3  # share of the fastest speed below which a log starts at rest
 _SLOPE_STEP = 1e-5  # [rad; m] between the postures of a difference

@@ -203,11 +203,11 @@ def transpose_records(records: Sequence[Sequence[FrictionRecord]]) -> list[list[
 
 def make_causal(records: Records) -> list[list[FrictionRecord]]:
     """Return records with the velocity that a user of an FMU has."""
-    return [_make_joint_causal(joint_records) for joint_records in records]
+    return list(map(_make_each_causal, records))
 
 
-def _make_joint_causal(joint_records: Iterable[FrictionRecord]) -> list[FrictionRecord]:
-    return [record.causal for record in joint_records]
+def _make_each_causal(records: Iterable[FrictionRecord]) -> list[FrictionRecord]:
+    return [record.causal for record in records]
 
 
 def select_records(names: Iterable[str], records: LogRecords) -> list[list[FrictionRecord]]:
@@ -487,12 +487,12 @@ class _Motion(NamedTuple):
 
 def _stack_motion(log_records: Sequence[FrictionRecord]) -> _Motion:
     """Return the motion of a log with the velocity that a user of an FMU has."""
-    motions = [record.causal.motion for record in log_records]
+    causal_records = _make_each_causal(log_records)
     return _Motion(
         t=log_records[0].t,
-        dq=np.column_stack([motion["dq"] for motion in motions]),
-        q=np.column_stack([motion["q"] for motion in motions]),
-        tau_load=np.column_stack([motion["tau_load"] for motion in motions]),
+        dq=np.column_stack([record.dq for record in causal_records]),
+        q=np.column_stack([record.q for record in causal_records]),
+        tau_load=np.column_stack([record.tau_load for record in causal_records]),
     )
 
 

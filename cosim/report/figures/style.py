@@ -19,7 +19,10 @@ from hesr_model.support.files import written_whole
 if TYPE_CHECKING:
     from matplotlib.typing import RcKeyType  # missing in older versions
 
-INK, SOFT, LINE, CARD = "#1d2430", "#5b6675", "#d5dae1", "#f4f6f9"
+INK = "#1d2430"
+SOFT = "#5b6675"
+LINE = "#d5dae1"
+CARD = "#f4f6f9"
 # for colour-blind readers (Okabe and Ito), with a contrast to white of at least 3
 SERIES = ("#0069a8", "#c24e00", "#00785a", "#a03f87", "#806400", "#3d4f9f")
 
