@@ -217,9 +217,10 @@ def band(
     model = results.models.get(law_name)
     if model is None or not model.banded:
         return ()
+    numbers = range(1, len(results.joints) + 1)
 
     def stack_joints(column: str) -> Array:
-        return np.column_stack([torques[f"{column}{k}"] for k, *_ in results.numbered])
+        return np.column_stack([torques[f"{column}{k}"] for k in numbers])
 
     load = "tau_load" if "tau_load1" in torques else "tau_rb"
     ends = compute_band(
