@@ -118,7 +118,7 @@ class Inspection(Answer):
                 f"{log.name}: {len(log.t)} rows, {log.t[-1] - log.t[0]:.1f} s, {log.rate:.4g} Hz, "
                 f"jitter {100 * log.jitter:.0f} %"
             )
-            if log.gaps:
+            if len(log.gaps):
                 line += f", {count_noun(len(log.gaps), 'gap')}"
             if log.dropped:
                 line += f", {log.dropped} rows left out"
