@@ -2,7 +2,8 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, pairwise
+from itertools import pairwise
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -39,43 +40,20 @@ class Clearance:
         self._pin, self._pin_model, self._pin_data, self._configurations = robot.kinematics
         self.exact = robot.geometry is not None
         self._geometry: Any = robot.geometry or self._build_capsules(robot, radius)
-        pin = self._pin
-        link_object_count = self._geometry.ngeoms
-        for number, (*normal, offset) in enumerate(planes, start=1):
-            wall = pin.coal.Halfspace(np.array(normal), offset)
-            placement = pin.SE3.Identity()
-            self._geometry.addGeometryObject(
-                pin.GeometryObject(f"plane {number}", 0, placement, wall)
-            )
-        parents = list(self._pin_model.parents)
-        geometry_objects = self._geometry.geometryObjects
-        parent_joints = [int(geometry_object.parentJoint) for geometry_object in geometry_objects]
-        pairs = [
-            (a, b)
-            for b in range(len(parent_joints))
-            for a in range(min(b, link_object_count))
-            if parent_joints[a] != parent_joints[b]
-            and (
-                b >= link_object_count
-                or (
-                    parent_joints[b] != parents[parent_joints[a]]
-                    and parent_joints[a] != parents[parent_joints[b]]
-                )
-            )
-        ]
+        self._link_object_count = self._geometry.ngeoms
+        self._add_planes(planes)
+        parent_joints = [int(body.parentJoint) for body in self._geometry.geometryObjects]
+        pairs = self._list_pairs(parent_joints)
         self._set_pairs(pairs, margin)
-        lower, upper, _ = robot.reach
-        poses = np.random.default_rng(0).uniform(lower, upper, (_POSE_COUNT, robot.n))
-        shares = (
-            sum(np.array(self._test_contacts(q)) for q in self._configurations(poses)) / _POSE_COUNT
-        )
-        may_touch = np.array(
-            [b < link_object_count or parent_joints[a] <= 1 for a, b in pairs], dtype=bool
-        )
-        is_checked = ~((shares > _ALWAYS_TOUCHING_SHARE) & may_touch)
-        self._set_pairs(
-            [pair for pair, is_kept in zip(pairs, is_checked, strict=True) if is_kept], margin
-        )
+        touching_shares = self._measure_touching_shares(robot)
+        checked_pairs = []
+        for pair, touching_share in zip(pairs, touching_shares, strict=True):
+            a, b = pair
+            # Only links before the second joint may stand on a plane.
+            may_touch = b < self._link_object_count or parent_joints[a] <= 1
+            if not (may_touch and touching_share > _ALWAYS_TOUCHING_SHARE):
+                checked_pairs.append(pair)
+        self._set_pairs(checked_pairs, margin)
 
     def contact(self, q: Array) -> tuple[int, str, str] | None:
         """Return row and names of the first two bodies nearer than the margin on a path (N, n)."""
@@ -86,6 +64,35 @@ class Clearance:
                 names = [body.name for body in self._geometry.geometryObjects]
                 return row, names[pair.first], names[pair.second]
         return None
+
+    def _add_planes(self, planes: Sequence[Plane]) -> None:
+        """Append the planes to the geometry, fixed to the world."""
+        pin = self._pin
+        for number, (*normal, offset) in enumerate(planes, start=1):
+            wall = pin.coal.Halfspace(np.array(normal), offset)
+            placement = pin.SE3.Identity()
+            self._geometry.addGeometryObject(
+                pin.GeometryObject(f"plane {number}", 0, placement, wall)
+            )
+
+    def _list_pairs(self, parent_joints: Sequence[int]) -> list[tuple[int, int]]:
+        """Return pairs of links without a common joint, and of links and planes."""
+        parents = list(self._pin_model.parents)
+        pairs = []
+        for b, joint_b in enumerate(parent_joints):
+            is_plane = b >= self._link_object_count
+            for a, joint_a in enumerate(parent_joints[: min(b, self._link_object_count)]):
+                are_neighbours = joint_b == parents[joint_a] or joint_a == parents[joint_b]
+                if joint_a != joint_b and (is_plane or not are_neighbours):
+                    pairs.append((a, b))
+        return pairs
+
+    def _measure_touching_shares(self, robot: Robot) -> Array:
+        """Return the share of random poses in which each pair touches."""
+        lower, upper, _ = robot.reach
+        poses = np.random.default_rng(0).uniform(lower, upper, (_POSE_COUNT, robot.n))
+        contacts = [self._test_contacts(state) for state in self._configurations(poses)]
+        return np.asarray(np.sum(contacts, axis=0) / _POSE_COUNT)
 
     def _test_contacts(self, state: Array, *, first: bool = False) -> list[bool]:
         self._pin.computeCollisions(
@@ -111,8 +118,10 @@ class Clearance:
         lengths = [float(np.linalg.norm(end)) for _, _, end in ends]
         capsule_radius = radius or max(_CAPSULE_RADIUS_RATIO * sum(lengths), 1e-3)
         for (joint_id, name, end), length in zip(ends, lengths, strict=True):
-            rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end)
-            placement = pin.SE3(rotation.matrix() if length else np.eye(3), 0.5 * end)
+            rotation = np.eye(3)
+            if length:  # the direction of a point is undefined
+                rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end).matrix()
+            placement = pin.SE3(rotation, 0.5 * end)
             shape = pin.coal.Capsule(capsule_radius, length)
             geometry.addGeometryObject(
                 pin.GeometryObject(f"link to {name}", joint_id, placement, shape)
@@ -178,8 +187,15 @@ class Guard:
             0.0, motion.duration, _CHECKS_PER_SETPOINT * round(motion.duration * rate) + 1
         )
         q, dq, ddq = motion.sample(t)
+        return self._find_exceeded_limit(q, dq, ddq) or self._find_contact(t, q)
+
+    def _find_exceeded_limit(self, q: Array, dq: Array, ddq: Array) -> str:
+        """Return the first limit that samples (N, n) exceed, with its joint; empty if none."""
         limits = self.limits
-        tau = self.torque(*(x[::_CHECKS_PER_SETPOINT] for x in (q, dq, ddq)))
+        # Torques are checked at setpoints, the others also between them.
+        tau = self.torque(
+            q[::_CHECKS_PER_SETPOINT], dq[::_CHECKS_PER_SETPOINT], ddq[::_CHECKS_PER_SETPOINT]
+        )
         for quantity, samples, lower, upper in (
             ("position", q, limits.lower, limits.upper),
             ("velocity", dq, -limits.velocity, limits.velocity),
@@ -187,22 +203,28 @@ class Guard:
             ("torque", tau, -limits.torque, limits.torque),
         ):
             excess = np.maximum(lower - samples.min(axis=0), samples.max(axis=0) - upper)
-            if np.any(is_exceeded := excess > _ROUNDING_TOLERANCE * np.maximum(1.0, np.abs(upper))):
-                j = int(np.argmax(is_exceeded))
-                friction_note = f" with {self.friction[j]:.3g} for friction" * (
-                    quantity == "torque"
-                )
-                return (
-                    f"joint '{self.robot.joints[j]}' needs a {quantity} of {excess[j]:.3g} beyond "
-                    f"limits.{quantity} less its margin, {lower[j]:.4g} to "
-                    f"{upper[j]:.4g}{friction_note}"
-                )
+            is_exceeded = excess > _ROUNDING_TOLERANCE * np.maximum(1.0, np.abs(upper))
+            if not np.any(is_exceeded):
+                continue
+            j = int(np.argmax(is_exceeded))
+            fault = (
+                f"joint '{self.robot.joints[j]}' needs a {quantity} of {excess[j]:.3g} beyond "
+                f"limits.{quantity} less its margin, {lower[j]:.4g} to {upper[j]:.4g}"
+            )
+            if quantity == "torque":
+                fault += f" with {self.friction[j]:.3g} for friction"
+            return fault
+        return ""
+
+    def _find_contact(self, t: Array, q: Array) -> str:
+        """Return the first bodies that come too near along positions (N, n); empty if none."""
         travel = np.cumsum(np.abs(np.diff(q, axis=0, prepend=q[:1])).sum(axis=1))
         _, rows = np.unique(np.floor(travel / _CONTACT_STEP), return_index=True)
         contact = self.clearance.contact(q[rows])
-        if contact:
-            return f"'{contact[1]}' comes too near to '{contact[2]}' at {t[rows[contact[0]]]:.1f} s"
-        return ""
+        if contact is None:
+            return ""
+        row, body, other_body = contact
+        return f"'{body}' comes too near to '{other_body}' at {t[rows[row]]:.1f} s"
 
 
 _USUAL_RATE = 200.0
@@ -250,27 +272,42 @@ class Planner:
         self.settings = settings
         robot = guard.robot
         self.rate = settings.sample_rate or robot.description.log.sample_rate or _USUAL_RATE
-        lower = guard.limits.lower
-        upper = guard.limits.upper
         rng = np.random.default_rng(settings.seed)
-        self._random_poses = rng.uniform(lower, upper, (_POSE_COUNT, robot.n))
-        distances = np.abs((self._random_poses - 0.5 * (lower + upper)) / (upper - lower)).max(
-            axis=1
+        self._random_poses = rng.uniform(
+            guard.limits.lower, guard.limits.upper, (_POSE_COUNT, robot.n)
         )
-        candidates = [0.5 * (lower + upper), *self._random_poses[np.argsort(distances)]]
-        neighbours = (
-            _NEIGHBOUR_RANGE * (upper - lower) * rng.uniform(-1.0, 1.0, (_PAIR_COUNT, robot.n))
-        )
-        fault = ""
-        for pose in [np.array(settings.start)] if settings.start else candidates:
-            pose_fault = guard.find_fault(self._build_motion(np.tile(pose, (8, 1))), self.rate)
-            if not pose_fault and (
-                settings.start or not guard.clearance.contact(pose + neighbours)
-            ):
-                self.start = pose
-                return
-            fault = fault or pose_fault or "other poses near it are not"
-        raise FitError(f"robot '{robot.name}': no start pose is free: {fault}; state 'start'.")
+        if settings.start:
+            self.start = np.array(settings.start)
+            fault = self._find_pose_fault(self.start)
+            if fault:
+                raise _refuse_start(robot, fault)
+        else:
+            self.start = self._choose_start(rng.uniform(-1.0, 1.0, (_PAIR_COUNT, robot.n)))
+
+    def _choose_start(self, directions: Array) -> Array:
+        """Return the free pose (n,) nearest to the middle of the ranges.
+
+        Poses near it, in `directions` (N, n) within -1 to 1, must be free as well.
+        """
+        lower = self.guard.limits.lower
+        upper = self.guard.limits.upper
+        middle = 0.5 * (lower + upper)
+        distances = np.abs((self._random_poses - middle) / (upper - lower)).max(axis=1)
+        neighbours = _NEIGHBOUR_RANGE * (upper - lower) * directions
+        first_fault = ""
+        for pose in [middle, *self._random_poses[np.argsort(distances)]]:
+            fault = self._find_pose_fault(pose)
+            if not fault and self.guard.clearance.contact(pose + neighbours):
+                fault = "other poses near it are not"
+            if not fault:
+                return np.asarray(pose)
+            first_fault = first_fault or fault
+        raise _refuse_start(self.guard.robot, first_fault)
+
+    def _find_pose_fault(self, pose: Array) -> str:
+        """Return what forbids a rest in a pose (n,), empty if nothing does."""
+        standstill = np.tile(pose, (8, 1))
+        return self.guard.find_fault(self._build_motion(standstill), self.rate)
 
     def _build_motion(self, rows: Array, *parts: tuple[str, int, int]) -> PlannedMotion:
         timed_parts = tuple(
@@ -284,19 +321,26 @@ class Planner:
             return self.friction(time, [Mix()] * self.guard.robot.n)
         row_count = round(time * self.rate) + 1
         chirp = self.start[None]
+        parts = []
         if purpose == "test":
             t = np.arange(round(0.4 * row_count)) / self.rate
             chirp = compute_chirp(self.start, self.guard.limits, t)
-        random_seed = None if purpose == "body" else self.settings.seed + 1
+            parts.append(("chirp", 0, len(chirp)))
+        random_seed = None
+        if purpose != "body":
+            random_seed = self.settings.seed + 1
         fourier = self._plan_fourier(row_count - len(chirp), random_seed, progress)
-        pieces = [
-            self._choose_safe_motion([self._build_motion(part)]).rows if len(part) > 1 else part
-            for part in (chirp, fourier)
-        ]
-        rows = np.concatenate(pieces)
+        parts.append(("Fourier motion", len(chirp), row_count))
+        # Each piece shrinks by itself, so that a fault of one leaves the other as large as it is.
+        rows = np.concatenate([self._make_safe(chirp), self._make_safe(fourier)])
         rows[[0, -1]] = self.start
-        parts = ("chirp", 0, len(chirp)), ("Fourier motion", len(chirp), row_count)
-        return self._choose_safe_motion([self._build_motion(rows, *parts[len(chirp) == 1 :])])
+        return self._choose_safe_motion([self._build_motion(rows, *parts)])
+
+    def _make_safe(self, rows: Array) -> Array:
+        """Return rows (N, n), shrunk towards the start pose until they are safe."""
+        if len(rows) == 1:  # the start pose, which is safe and no motion
+            return rows
+        return self._choose_safe_motion([self._build_motion(rows)]).rows
 
     def friction(self, time: float, mixes: Sequence[Mix]) -> PlannedMotion:
         """Plan strokes of each joint in two poses; see `plan`."""
@@ -309,9 +353,10 @@ class Planner:
                 return motion
         for k in range(1, _MAX_SHRINKS):
             rows = self.start + _SHRINK_FACTOR**k * (motion.rows - self.start)
-            fault = self.guard.find_fault(smaller := replace(motion, rows=rows), self.rate)
+            smaller_motion = replace(motion, rows=rows)
+            fault = self.guard.find_fault(smaller_motion, self.rate)
             if not fault:
-                return smaller
+                return smaller_motion
         raise FitError(f"robot '{self.guard.robot.name}': the limits allow no motion: {fault}.")
 
     def strokes(self, time: float, mixes: Sequence[Mix]) -> Iterator[PlannedMotion]:
@@ -322,9 +367,8 @@ class Planner:
             _MAX_STROKE_SHARE * (limits.upper - limits.lower),
             1.6 * limits.velocity**2 / limits.acceleration,
         )
-        for number, poses in enumerate(
-            [*self._find_pose_pairs(longest_strokes), (self.start, self.start)]
-        ):
+        pose_pairs = [*self._find_pose_pairs(longest_strokes), (self.start, self.start)]
+        for number, poses in enumerate(pose_pairs):
             path = (self.start, *poses, self.start)
             moves = [plan_move(a, b, limits, self.rate) for a, b in pairwise(path)]
             pose_rows = (row_count - 1 - sum(map(len, moves))) // 2
@@ -335,22 +379,21 @@ class Planner:
                     f"poses; they need at least {time - 2.0 * (budget - _MIN_STROKE_TIME):.0f} s."
                 )
             t = np.arange(pose_rows) / self.rate - _PAUSE
-            stroke = longest_strokes * _SHRINK_FACTOR ** (number // 3)
-            pieces = [
-                pose
-                + np.column_stack(
-                    [
-                        compute_pulses(self._plan_program(mix, budget, stroke[j], j, k), t)
-                        for j, mix in enumerate(mixes)
-                    ]
-                )
-                for k, pose in enumerate(poses)
-            ]
+            # Shorter strokes after every third pair: another pair may be free with long ones.
+            stroke_lengths = longest_strokes * _SHRINK_FACTOR ** (number // 3)
+            pieces = []
+            for k, pose in enumerate(poses):
+                programs = [
+                    self._plan_program(mix, budget, stroke_lengths[j], j, k)
+                    for j, mix in enumerate(mixes)
+                ]
+                columns = [compute_pulses(program, t) for program in programs]
+                pieces.append(pose + np.column_stack(columns))
             rows = np.vstack([self.start, moves[0], pieces[0], moves[1], pieces[1], moves[2]])
             standstill = np.tile(self.start, (row_count - len(rows), 1))
             first = 1 + len(moves[0])
-            second = 1 + len(moves[0]) + pose_rows + len(moves[1])
-            parts = ("pose 1", first, first + pose_rows), ("pose 2", second, second + pose_rows)
+            second = first + pose_rows + len(moves[1])
+            parts = [("pose 1", first, first + pose_rows), ("pose 2", second, second + pose_rows)]
             yield self._build_motion(np.vstack([rows, standstill]), *parts)
 
     def _find_pose_pairs(self, room: Array) -> Iterator[tuple[Array, Array]]:
@@ -397,12 +440,15 @@ class Planner:
         ):
             order.shuffle(groups)
             phase = order.uniform()
-            placed_groups += [((k + phase) / len(groups), group) for k, group in enumerate(groups)]
+            for k, group in enumerate(groups):
+                placed_groups.append(((k + phase) / len(groups), group))
+        placed_groups.sort(key=itemgetter(0))
         sign = -1.0 if (j + pose) % 2 else 1.0
-        ordered_strokes = chain.from_iterable(
-            group for _, group in sorted(placed_groups, key=lambda placed_group: placed_group[0])
-        )
-        return [(sign * speed, ramp, hold, pause) for speed, ramp, hold, pause in ordered_strokes]
+        program = []
+        for _, group in placed_groups:
+            for speed, ramp, hold, pause in group:
+                program.append((sign * speed, ramp, hold, pause))
+        return program
 
     def _plan_fourier(self, row_count: int, seed: int | None, progress: Progress) -> Array:
         """Return `row_count` rows of the best Fourier motion, or of a random one."""
@@ -410,12 +456,10 @@ class Planner:
         robot = self.guard.robot
         reach = _FOURIER_REACH * limits.velocity
         lower = np.maximum(limits.lower, self.start - reach)
-        upper = self.start + reach
+        upper = np.minimum(limits.upper, self.start + reach)
         period = row_count / self.rate
         motion_limits = MotionLimits(
-            position=tuple(
-                zip(lower.tolist(), np.minimum(limits.upper, upper).tolist(), strict=True)
-            ),
+            position=tuple(zip(lower.tolist(), upper.tolist(), strict=True)),
             velocity=tuple(limits.velocity.tolist()),
             acceleration=tuple(limits.acceleration.tolist()),
             torque=tuple(np.minimum(limits.torque, _NO_LIMIT).tolist()),
@@ -429,6 +473,10 @@ class Planner:
             (motion,) = random_motions(robot, motion_settings, 1, seed)
         q, _, _ = motion.sample(np.arange(1, row_count + 1) / self.rate)
         return np.asarray(q + self.start - motion.sample(np.zeros(1))[0])
+
+
+def _refuse_start(robot: Robot, fault: str) -> FitError:
+    return FitError(f"robot '{robot.name}': no start pose is free: {fault}; state 'start'.")
 
 
 def _plan_steady_strokes(
@@ -462,12 +510,9 @@ def _nest_strokes(time: float, room: float, speed: float, acceleration: float) -
         * np.geomspace(1.0, _MIN_AMPLITUDE_RATIO, stroke_count)
         * (-1.0) ** np.arange(stroke_count)
     )
-    return [
-        [
-            (amplitude / ramp, ramp, 0.0, 0.0)
-            for amplitude in [*amplitudes.tolist(), -float(amplitudes.sum())]
-        ]
-    ] * set_count
+    way_back = -float(amplitudes.sum())
+    strokes = [(amplitude / ramp, ramp, 0.0, 0.0) for amplitude in [*amplitudes.tolist(), way_back]]
+    return [strokes] * set_count
 
 
 def _plan_rests(time: float, room: float, speed: float, acceleration: float) -> Groups:
