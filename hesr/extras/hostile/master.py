@@ -28,7 +28,7 @@ from fmu_src.run.sandbox import Sandbox
 from hesr_model.support.arrays import Array
 from hesr_model.support.child import INVALID_ANSWER
 from hesr_model.support.process import DiedError
-from hesr_model.support.text import quote, sanitise
+from hesr_model.support.text import count_noun, quote, sanitise
 
 SECONDS = 300.0  # for a scenario
 STEPS = 200  # of the nominal run
@@ -105,28 +105,25 @@ class _Master:
             for variable in model_description.variables
             if variable.kind == "Real" and variable.reference is not None
         ]
+        inputs = [variable for variable in reals if variable.causality == "input"]
         self._outputs = [variable for variable in reals if variable.causality == "output"]
-        self._simulation = simulation = kinds.get("CoSimulation")
-        self._exchange = exchange = kinds.get("ModelExchange")
-        step_size = real(model_description.experiment.get("stepSize"))
-        self._step = (
-            _DEFAULT_STEP if step_size is None or not 0.0 < step_size < math.inf else step_size
-        )
-        self._varies = bool(simulation and simulation.can("canHandleVariableCommunicationStepSize"))
+        self._simulation = kinds.get("CoSimulation")
+        self._exchange = kinds.get("ModelExchange")
+        self._step = _choose_step(model_description)
+        self._varies = _can_vary_step(self._simulation)
         self.skipped: list[str] = []
+        indicator_count = integer(model_description.attributes.get("numberOfEventIndicators"))
         self._plan = {
             "folder": str(folder / "hostile"),
             "guid": model_description.attributes.get("guid", ""),
-            "simulation": simulation and simulation.identifier,
-            "exchange": exchange and exchange.identifier,
+            "simulation": _get_identifier(self._simulation),
+            "exchange": _get_identifier(self._exchange),
             "step": self._step,
             "steps": STEPS,
             "variable": self._varies,
             "states": len(model_description.structure["Derivatives"]),
-            "indicators": integer(model_description.attributes.get("numberOfEventIndicators")) or 0,
-            "inputs": [
-                _choose_excitation(variable) for variable in reals if variable.causality == "input"
-            ],
+            "indicators": indicator_count or 0,
+            "inputs": [_choose_excitation(variable) for variable in inputs],
             "outputs": [variable.reference for variable in self._outputs],
         }
 
@@ -153,12 +150,10 @@ class _Master:
         runs = self._run_scenarios(self._choose_scenarios())
         for name, run in runs.items():
             if run.refused:
-                claim = (
-                    "; canHandleVariableCommunicationStepSize is true"
-                    if name in _FREE_STEP_SCENARIOS
-                    else ""
-                )
-                yield f"{_SCENARIO_NAMES[name]}: {sanitise(run.refused.rstrip('.'), 400)}{claim}."
+                problem = f"{_SCENARIO_NAMES[name]}: {sanitise(run.refused.rstrip('.'), 400)}"
+                if name in _FREE_STEP_SCENARIOS:
+                    problem += "; canHandleVariableCommunicationStepSize is true"
+                yield f"{problem}."
             if run.taken and self._plan["states"]:
                 yield f"{_SCENARIO_NAMES[name]}: it is accepted without an error."
             if run.taken is False and not self._plan["states"]:
@@ -199,48 +194,49 @@ class _Master:
         fine_runs = [complete_runs[name] for name in ("dense", "held") if name in complete_runs]
         references = fine_runs or [nominal]
         scale = _measure_scale(np.concatenate([reference_run.rows for reference_run in references]))
-        step_errors = np.zeros(len(self._outputs))
-        fresh_runs = [
-            replace(run, times=run.times[:-1], steps=run.steps[1:], rows=run.fresh)
-            for name, run in complete_runs.items()
-            if name == "refreshed"
-        ]
-        for checked_run in (nominal, *fresh_runs, *fine_runs[:-1]):
-            # Small steps differ from each other if outputs are fast.
-            other_references = [
-                reference_run for reference_run in references if reference_run is not checked_run
-            ]
-            extremes = _find_extremes_around(
-                checked_run, other_references or references, self._step
+        checked_runs = [nominal, *fine_runs[:-1]]
+        if "refreshed" in complete_runs:
+            run = complete_runs["refreshed"]
+            checked_runs.append(
+                replace(run, times=run.times[:-1], steps=run.steps[1:], rows=run.fresh)
             )
-            step_errors = np.maximum(
-                step_errors, _measure_excess(checked_run, extremes).max(axis=0)
-            )
-        # The jumps of discrete outputs depend on the step.
-        discrete_allowance = np.array(
-            [np.inf if variable.variability == "discrete" else 0.0 for variable in self._outputs]
-        )
+        step_errors = self._measure_step_errors(checked_runs, references)
         for name in ("summed", *_FREE_STEP_SCENARIOS):
             if name in runs:
-                step_ratio = max(1.0, float(runs[name].steps.max(initial=0.0)) / self._step)
                 extremes = _find_extremes_around(runs[name], references, self._step)
-                threshold = (
-                    _JUMP_THRESHOLD * step_ratio * step_errors
-                    + _MIN_RELATIVE_JUMP * scale
-                    + discrete_allowance
-                )
+                threshold = self._choose_threshold(runs[name], step_errors, scale)
                 excess = _measure_excess(runs[name], extremes) - threshold
                 yield from self._describe_worst_jump(name, runs[name], excess / scale, extremes)
         for name in ("refreshed", "repeated"):
             if name in runs:
                 expected_rows = nominal.rows[: len(runs[name].rows)]
-                excess = (
-                    _measure_excess(runs[name], (expected_rows, expected_rows))
-                    - _EQUALITY_TOLERANCE * scale
-                )
-                yield from self._describe_worst_jump(
-                    name, runs[name], excess / scale, (expected_rows, expected_rows)
-                )
+                extremes = (expected_rows, expected_rows)
+                excess = _measure_excess(runs[name], extremes) - _EQUALITY_TOLERANCE * scale
+                yield from self._describe_worst_jump(name, runs[name], excess / scale, extremes)
+
+    def _measure_step_errors(
+        self, checked_runs: Sequence[_Run], references: Sequence[_Run]
+    ) -> Array:
+        """Return the largest distance (outputs,) of runs from the other references."""
+        step_errors = np.zeros(len(self._outputs))
+        for run in checked_runs:
+            # Small steps differ from each other if outputs are fast.
+            other_references = [reference for reference in references if reference is not run]
+            extremes = _find_extremes_around(run, other_references or references, self._step)
+            step_errors = np.maximum(step_errors, _measure_excess(run, extremes).max(axis=0))
+        return step_errors
+
+    def _choose_threshold(self, run: _Run, step_errors: Array, scale: Array) -> Array:
+        """Return the excess (outputs,) that counts as a jump; errors grow with the step."""
+        step_ratio = max(1.0, float(run.steps.max(initial=0.0)) / self._step)
+        # The jumps of discrete outputs depend on the step.
+        is_discrete = [variable.variability == "discrete" for variable in self._outputs]
+        discrete_allowance = np.where(is_discrete, np.inf, 0.0)
+        return np.asarray(
+            _JUMP_THRESHOLD * step_ratio * step_errors
+            + _MIN_RELATIVE_JUMP * scale
+            + discrete_allowance
+        )
 
     def _describe_worst_jump(
         self, name: str, run: _Run, excess: Array, extremes: tuple[Array, Array]
@@ -251,16 +247,14 @@ class _Master:
         sizes = np.where(np.isnan(excess), np.inf, excess)
         index = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
         other_count = int(is_outside.any(axis=0).sum()) - 1
-        others_text = (
-            f" (and {other_count} more output{'s' if other_count > 1 else ''})"
-            if other_count
-            else ""
-        )
+        others_text = ""
+        if other_count:
+            others_text = f" (and {count_noun(other_count, 'more output')})"
         lowest = extremes[0][index]
         highest = extremes[1][index]
-        expected_text = (
-            f"{lowest:.9g}" if lowest == highest else f"from {lowest:.6g} to {highest:.6g}"
-        )
+        expected_text = f"from {lowest:.6g} to {highest:.6g}"
+        if lowest == highest:
+            expected_text = f"{lowest:.9g}"
         yield (
             f"{_SCENARIO_NAMES[name]}: {quote(self._outputs[index[1]].name)}{others_text} is "
             f"{run.rows[index]:.9g} at {run.times[index[0]]:.6g} s after a step of "
@@ -269,12 +263,36 @@ class _Master:
         )
 
 
+def _choose_step(model_description: ParsedDescription) -> float:
+    """Return the preferred step [s] of an FMU, or the default one."""
+    step_size = real(model_description.experiment.get("stepSize"))
+    if step_size is None or not 0.0 < step_size < math.inf:
+        return _DEFAULT_STEP
+    return step_size
+
+
+def _can_vary_step(simulation: InterfaceKind | None) -> bool:
+    return simulation is not None and simulation.can("canHandleVariableCommunicationStepSize")
+
+
+def _get_identifier(kind: InterfaceKind | None) -> str | None:
+    if kind is None:
+        return None
+    return kind.identifier
+
+
 def _choose_excitation(variable: ParsedVariable) -> dict[str, Any]:
-    start_value, lower, upper = (real(variable.get(name)) for name in ("start", "min", "max"))
-    centre = start_value if start_value is not None and math.isfinite(start_value) else 0.0
+    """Return centre and amplitude of an input, within its limits and about its start value."""
+    start_value = real(variable.get("start"))
+    lower = real(variable.get("min"))
+    upper = real(variable.get("max"))
+    centre = 0.0
+    if start_value is not None and math.isfinite(start_value):
+        centre = start_value
     amplitude = 0.5 * (real(variable.get("nominal")) or 1.0)
     if lower is not None and upper is not None and math.isfinite(upper - lower):
-        centre, amplitude = 0.5 * (lower + upper), min(amplitude, 0.4 * (upper - lower))
+        centre = 0.5 * (lower + upper)
+        amplitude = min(amplitude, 0.4 * (upper - lower))
     elif lower is not None:
         centre = max(centre, lower + amplitude)
     elif upper is not None:

@@ -11,6 +11,8 @@ from fmu_src.run.instance import WARNING, CallError, Instance, LoadError, Unpack
 
 MAX_REPEATS = 20  # of a discarded step, and of events at one instant
 ROUNDING_STEP = 1e-14  # step [s] left by the round-off of summed times
+_STEP_SHARES = {"nominal": 1.0, "dense": 0.125, "fifth": 0.2, "double": 2.0}  # by scenario
+_SAME_INSTANT = 1e-6  # events nearer than this share of a step follow one another
 _DISCARD_STATUS = 2
 _OUTCOMES = {2: "is discarded", 3: "ends in an error", 4: "ends in a fatal error"}
 
@@ -36,7 +38,10 @@ def outcome(plan: Mapping[str, Any], scenario: str) -> dict[str, Any]:
     except LoadError as error:
         return {"refused": f"its binary cannot be loaded ({error})"}
     except RefusedError as error:
-        return (run.recorded if run else {}) | {"refused": str(error)}
+        recorded = {}
+        if run is not None:
+            recorded = run.recorded
+        return recorded | {"refused": str(error)}
     return run.recorded
 
 
@@ -49,10 +54,13 @@ class _Run:
         self.last_step = 0.0  # [s]
         self._exchange = exchange
         self._messages: list[str] = []
+        identifier = plan["simulation"]
+        if exchange:
+            identifier = plan["exchange"]
         fmu = UnpackedFmu(
             folder=plan["folder"],
             guid=plan["guid"],
-            identifier=plan["exchange" if exchange else "simulation"],
+            identifier=identifier,
             name="hostile",
             exchange=exchange,
         )
@@ -97,7 +105,10 @@ class _Run:
             self._inputs.write()
 
     def read_outputs(self) -> list[float]:
-        return self._outputs.read().tolist() if self.plan["outputs"] else []
+        if not self.plan["outputs"]:
+            return []
+        outputs: list[float] = self._outputs.read().tolist()
+        return outputs
 
     def record(self) -> None:
         self.recorded["rows"].append(self.read_outputs())
@@ -110,12 +121,14 @@ class _Run:
             try:
                 self.instance.step(self.time, step_size)
             except RefusedError as error:
-                if error.status == _DISCARD_STATUS and repeat < MAX_REPEATS:
+                is_discarded = error.status == _DISCARD_STATUS
+                if is_discarded and repeat < MAX_REPEATS:
                     continue
                 call = f"fmi2DoStep of {step_size:.9g} s at {self.time:.9g} s"
-                repetition = f" each of {repeat} times" if error.status == _DISCARD_STATUS else ""
                 text = str(error).replace("fmi2DoStep", call, 1)
-                raise RefusedError(f"{text}{repetition}") from error
+                if is_discarded:
+                    text += f" each of {repeat} times"
+                raise RefusedError(text) from error
             break
         self.time += step_size
         self.last_step = step_size
@@ -133,11 +146,13 @@ def _take_steps(run: _Run, scenario: str) -> None:
 
 def _choose_steps(scenario: str, step_size: float, step_count: int) -> Iterator[float]:
     """Yield the steps [s] of a scenario."""
-    if scenario in ("nominal", "dense", "fifth", "double"):
-        share = {"nominal": 1.0, "dense": 0.125, "fifth": 0.2, "double": 2.0}[scenario]
-        # References run longer: the last inputs of others count at their end.
-        reference_count = step_count + 2 if scenario in ("nominal", "dense") else step_count
-        yield from [share * step_size] * round(reference_count / share)
+    if scenario in _STEP_SHARES:
+        share = _STEP_SHARES[scenario]
+        nominal_count = step_count
+        if scenario in ("nominal", "dense"):
+            # References run longer: the last inputs of others count at their end.
+            nominal_count += 2
+        yield from [share * step_size] * round(nominal_count / share)
     elif scenario == "irrational":
         shares = [math.sqrt(0.5), math.pi / 3.0, math.e - 2.0, math.sqrt(2.0) - 1.0, math.pi / 7.0]
         yield from [share * step_size for share in shares] * round(step_count / math.fsum(shares))
@@ -170,7 +185,9 @@ def _refresh_outputs(run: _Run, _scenario: str) -> None:
 
 def _repeat_steps(run: _Run, _scenario: str) -> None:
     """Take steps back, as masters with iteration or step control do."""
-    long_step = run.step * (2.0 if run.plan["variable"] else 1.0)
+    long_step = run.step
+    if run.plan["variable"]:
+        long_step = 2.0 * run.step
     for k in range(run.plan["steps"]):
         if k % 5 == 0:
             state = run.instance.ask("getFMUstate")
@@ -222,7 +239,10 @@ def _solve(run: _Run, scenario: str) -> None:
                 raise RefusedError(f"fmi2CompletedIntegratorStep ends the run at {time:.9g} s")
             if not has_event and not requests_event:
                 continue
-            event_count = event_count + 1 if time - event_time < 1e-6 * run.step else 1
+            is_same_instant = time - event_time < _SAME_INSTANT * run.step
+            if not is_same_instant:
+                event_count = 0
+            event_count += 1
             event_time = time
             if event_count > MAX_REPEATS:
                 raise RefusedError(
