@@ -30,9 +30,9 @@ _MAX_HALVINGS = 12
 
 def write_code_and_data(path: Path, text: str, model: FrictionModel) -> Path:
     """Write a code file and its test data (.csv); both or none."""
-    data = reference_rows(model)
+    contents = {path: text, path.with_suffix(".csv"): reference_rows(model)}
     with written_together(path) as provide_file:
-        for file_path, content in ((path, text), (path.with_suffix(".csv"), data)):
+        for file_path, content in contents.items():
             provide_file(file_path).write_text(content, encoding="utf-8", newline="\n")
     return path
 
@@ -44,18 +44,21 @@ def reference_rows(model: FrictionModel) -> str:
     are exact in single precision.
     """
     motion, tau = _find_motion(model)
-    numbers = range(1, len(model.joints) + 1)
-    names = [
-        "t",
-        *(f"{name}[{number}]" for name in ("dq", "q", "tau_load", "tau") for number in numbers),
-    ]
-    columns = np.column_stack([motion.t, motion.dq, motion.q, motion.tau_load, tau])
+    names = ["t"]
+    for quantity in ("dq", "q", "tau_load", "tau"):
+        names += [f"{quantity}[{j + 1}]" for j in range(len(model.joints))]
     # Adding zero turns a negative zero into a positive one.
-    lines = [",".join(f"{value + 0.0:.17g}" for value in row) for row in columns.tolist()]
+    rows = np.column_stack([motion.t, motion.dq, motion.q, motion.tau_load, tau]) + 0.0
+    lines = [_format_row(row) for row in rows.tolist()]
     return "\n".join([",".join(names), *lines, ""])
 
 
+def _format_row(values: Sequence[float]) -> str:
+    return ",".join(f"{value:.17g}" for value in values)
+
+
 def _find_motion(model: FrictionModel) -> tuple[ReferenceMotion, np.ndarray]:
+    """Return the fastest motion whose torques (N, n) are finite, halving steps until they are."""
     for halvings in range(_MAX_HALVINGS):
         step = model.sample_time / 2**halvings
         motion = reference_motion(
@@ -66,11 +69,12 @@ def _find_motion(model: FrictionModel) -> tuple[ReferenceMotion, np.ndarray]:
             phase=_PHASE,
             lead_in=0.1 * _ROW_COUNT * step,
         )
-        inputs: Mapping[str, np.ndarray] = {
-            name: getattr(motion, name).astype(np.float32).astype(float)
-            for name in ("dq", "q", "tau_load")
-        }
-        motion = ReferenceMotion(t=motion.t, **inputs)
+        motion = ReferenceMotion(
+            t=motion.t,
+            dq=_round_to_single(motion.dq),
+            q=_round_to_single(motion.q),
+            tau_load=_round_to_single(motion.tau_load),
+        )
         try:
             tau = torques(model, motion, "direct")
         except SimulationError:
@@ -81,6 +85,10 @@ def _find_motion(model: FrictionModel) -> tuple[ReferenceMotion, np.ndarray]:
         f"friction model '{model.law}': torque is not finite at speeds up to "
         f"{np.abs(motion.dq).max():g} rad/s; no test data can be made."
     )
+
+
+def _round_to_single(values: np.ndarray) -> np.ndarray:
+    return np.asarray(values.astype(np.float32).astype(float))
 
 
 _LANES = 8  # robots per batch step: two vectors of AVX2, one of AVX-512
@@ -106,81 +114,86 @@ def header(model: FrictionModel, name: str) -> str:
     """Return the text of the header with the prefix `name`."""
     require_exportable(model, "one C header", coupled=False)
     joints = build_joints(model)
-    components = list(dict.fromkeys(joint.component for joint in joints))
-    functions = [
-        Functions(component, f"{name}_law_{number}")
-        for number, component in enumerate(components, start=1)
-    ]
+    components = dict.fromkeys(joint.component for joint in joints)
+    functions = {}
+    for number, component in enumerate(components, start=1):
+        functions[component] = Functions(component, f"{name}_law_{number}")
     is_euler = any(law.discretisation == "euler" for law in model.laws)
-    texts = []
-    for law_functions in functions:
-        memory = law_functions.component.memory
-        texts += [law_functions.read(), law_functions.invariants(), law_functions.step()]
-        texts += [] if is_euler else [law_functions.lanes()]
-        texts += [law_functions.begin()] if memory else []
-        texts += [law_functions.switches()] if law_functions.jumps.expressions else []
-        texts += [law_functions.rates()] if is_euler and memory else []
-    text = (
-        code_templates(TEMPLATES)
-        .get_template("law.h.j2")
-        .render(
-            name=name,
-            title=_escape_comment(f"Friction of {model.robot} by {model_title(model)}"),
-            version=version("hesr"),
-            sample_time=literal(model.sample_time),
-            law_math=read_c_source("law_math.h"),
-            functions=[text.replace("QUICK ", "static ", 1) for text in texts],
-            joints=_build_rows(
-                model,
-                joints,
-                {law_functions.component: law_functions for law_functions in functions},
-                is_euler=is_euler,
-            ),
-            slides=model.slides,
-            lanes=_LANES,
-            shared=max(len(joint.component.shared) for joint in joints),
-            coefficients=sum(len(law.values) for law in model.laws),
-        )
+    function_texts: list[str] = []
+    for law_functions in functions.values():
+        function_texts += _list_functions(law_functions, is_euler=is_euler)
+    law_math = read_c_source("law_math.h")
+    template = code_templates(TEMPLATES).get_template("law.h.j2")
+    text = template.render(
+        name=name,
+        title=_escape_comment(f"Friction of {model.robot} by {model_title(model)}"),
+        version=version("hesr"),
+        sample_time=literal(model.sample_time),
+        law_math=law_math,
+        functions=[
+            function_text.replace("QUICK ", "static ", 1) for function_text in function_texts
+        ],
+        joints=_build_rows(model, joints, functions, is_euler=is_euler),
+        slides=model.slides,
+        lanes=_LANES,
+        shared=max(len(joint.component.shared) for joint in joints),
+        coefficients=sum(len(law.values) for law in model.laws),
     )
+    # Names with prefixes do not collide with those of other files.
     text = re.sub(r"\bLANES\b", f"{name.upper()}_LANES", text)
-    names = "|".join(_MATH_FUNCTION.findall(read_c_source("law_math.h")))
+    names = "|".join(_MATH_FUNCTION.findall(law_math))
     return re.sub(rf"\b({names})\(", r"law_\1(", text)
+
+
+def _list_functions(law_functions: Functions, *, is_euler: bool) -> list[str]:
+    """Return the C functions of a law that a header needs, in the order of the file."""
+    has_memory = bool(law_functions.component.memory)
+    texts = [law_functions.read(), law_functions.invariants(), law_functions.step()]
+    if not is_euler:
+        texts.append(law_functions.lanes())
+    if has_memory:
+        texts.append(law_functions.begin())
+    if law_functions.jumps.expressions:
+        texts.append(law_functions.switches())
+    if is_euler and has_memory:
+        texts.append(law_functions.rates())
+    return texts
 
 
 def _build_rows(
     model: FrictionModel,
     joints: Sequence[Joint],
-    functions: dict[Any, Functions],
+    functions: Mapping[Any, Functions],
     *,
     is_euler: bool,
 ) -> list[dict[str, Any]]:
+    """Return the values of each joint for the template, with the places of its first numbers."""
     rows: list[dict[str, Any]] = []
     state_count = 0
     coefficient_count = 0
     for label, law, joint in zip(model.joints, model.laws, joints, strict=True):
         law_functions = functions[joint.component]
-        numbers = [
-            (literal(value), coefficient.name, coefficient.unit)
-            for coefficient, value in zip(law.form.coefficients, law.values.values(), strict=True)
-        ]
-        rows.append(
-            {
-                "place": len(rows),
-                "label": _escape_comment(label),
-                "law": law_functions.name,
-                "numbers": numbers,
-                "shared": len(joint.component.shared),
-                "starts": [literal(start) for start in law.start],
-                "states": len(law.form.memory),
-                "first_state": state_count,
-                "first_coefficient": coefficient_count,
-                "switches": len(law_functions.jumps.expressions),
-                "invariants": max(len(law_functions.invariant), 1),
-                "names": [element.name for element in law.form.memory],
-                "euler": is_euler and bool(law.form.relaxations),
-            }
-        )
-        state_count += len(law.form.memory)
+        memory = law.form.memory
+        numbers = []
+        for coefficient, value in zip(law.form.coefficients, law.values.values(), strict=True):
+            numbers.append((literal(value), coefficient.name, coefficient.unit))
+        row = {
+            "place": len(rows),
+            "label": _escape_comment(label),
+            "law": law_functions.name,
+            "numbers": numbers,
+            "shared": len(joint.component.shared),
+            "starts": [literal(start) for start in law.start],
+            "states": len(memory),
+            "first_state": state_count,
+            "first_coefficient": coefficient_count,
+            "switches": len(law_functions.jumps.expressions),
+            "invariants": max(len(law_functions.invariant), 1),  # C has no arrays of length 0
+            "names": [element.name for element in memory],
+            "euler": is_euler and bool(law.form.relaxations),
+        }
+        rows.append(row)
+        state_count += len(memory)
         coefficient_count += len(numbers)
     return rows
 

@@ -58,7 +58,9 @@ class _Printer(LanguagePrinter):
         self.known_functions |= {"sgn": "xp.sign", "absolute": "xp.abs", "Abs": "xp.abs"}
 
     def _print_Pow(self, expr: sympy.Pow) -> str:
-        return self._print_Float(expr) if expr.is_number else super()._print_Pow(expr)
+        if expr.is_number:
+            return self._print_Float(expr)
+        return super()._print_Pow(expr)
 
     def _print_Function(self, expr: sympy.Function) -> str:
         if expr.is_number:
@@ -103,29 +105,31 @@ def _write_function(
     """Return the text of `name(c, dq, q, tau_load, *more, x_0, ..)`: outputs and ends of states."""
     program = {symbol: _wrap_angles(expression) for symbol, expression in program.items()}
     lines, names = build_straight_line(program, (*output_symbols, *end_symbols))
-    states = [f"x_{i}" for i, _ in enumerate(form.memory)]
-    printed_names = {
-        coefficient.symbol: f'c["{coefficient.name}"]' for coefficient in form.coefficients
-    }
-    printed_names |= {
-        element.state: state_name for element, state_name in zip(form.memory, states, strict=True)
-    }
-    printed_names |= {symbol: symbol.name for symbol in (*INPUTS, DT, EULER)}
+    printed_names = {}
+    for coefficient in form.coefficients:
+        printed_names[coefficient.symbol] = f'c["{coefficient.name}"]'
+    states = []
+    for i, element in enumerate(form.memory):
+        states.append(f"x_{i}")
+        printed_names[element.state] = states[i]
+    for symbol in (*INPUTS, DT, EULER):
+        printed_names[symbol] = symbol.name
     printer = _Printer(printed_names | names)
-    body = [
-        f"{names.get(symbol, str(symbol))} = {printer.text(expression)}"
-        for symbol, expression in lines.items()
-    ]
-    end_names = "".join(f"{names[symbol]}, " for symbol in end_symbols)
-    arguments = ", ".join(("c", *(symbol.name for symbol in (*INPUTS, *extra_symbols)), *states))
+
+    inputs = [symbol.name for symbol in (*INPUTS, *extra_symbols)]
+    text = [f"def {name}({', '.join(['c', *inputs, *states])}):"]
+    for symbol, expression in lines.items():
+        text.append(f"    {names.get(symbol, str(symbol))} = {printer.text(expression)}")
+    # Each name has its comma: a tuple of one end needs it.
     outputs = "".join(f"{names[symbol]}, " for symbol in output_symbols)
-    return_line = f"return {outputs}({end_names.rstrip(' ')})"
-    return "\n".join(
-        [f"def {name}({arguments}):", *(f"    {line}" for line in (*body, return_line))]
-    )
+    ends = "".join(f"{names[symbol]}, " for symbol in end_symbols)
+    text.append(f"    return {outputs}({ends.rstrip(' ')})")
+    return "\n".join(text)
 
 
 def _wrap_angles(expression: sympy.Expr) -> sympy.Expr:
+    """Replace the multiple of the position in each sine and cosine by its part of a turn."""
+
     def wave(node: sympy.Expr) -> sympy.Expr:
         angle = sympy.expand(node.args[0])
         factor = angle.coeff(Q, 1)
@@ -160,13 +164,12 @@ def tensor_code(model: FrictionModel, library: Library) -> str:
     """
     require_exportable(model, "a file of tensors")
     discretisation = find_discretisation(model)
-    groups: dict[LawForm, list[int]] = {}
+    groups: dict[LawForm, dict[int, FrictionLaw]] = {}
     for j, law in enumerate(model.laws):
-        groups.setdefault(law.form, []).append(j)
-    laws = [
-        _describe_law(f"_law_{number}", form, joints, [model.laws[j] for j in joints])
-        for number, (form, joints) in enumerate(groups.items(), start=1)
-    ]
+        groups.setdefault(law.form, {})[j] = law
+    laws = []
+    for number, (form, laws_by_joint) in enumerate(groups.items(), start=1):
+        laws.append(_describe_law(f"_law_{number}", form, laws_by_joint))
     template = code_templates(TEMPLATES).get_template(f"law_{library}.py.j2")
     title = f"Friction of {model.robot} by {model_title(model)}"
     module_text: str = template.render(
@@ -183,26 +186,30 @@ def tensor_code(model: FrictionModel, library: Library) -> str:
 
 
 def _describe_law(
-    name: str, form: LawForm, joints: list[int], laws: list[FrictionLaw]
+    name: str, form: LawForm, laws_by_joint: Mapping[int, FrictionLaw]
 ) -> dict[str, Any]:
+    """Return the functions and numbers of the joints with a common form, for the template."""
+    laws = laws_by_joint.values()
     torque = form.component.outputs[0].symbol
     end_symbols = [moved_symbol(element) for element in form.memory]
     initial_states = initial_state(form.memory, form.component.settling)
     initial_symbols = [initial_symbol(element) for element in form.memory]
+    units = {}
+    values = {}
+    for coefficient in form.coefficients:
+        units[coefficient.name] = coefficient.unit
+        values[coefficient.name] = tuple(law.values[coefficient.name] for law in laws)
+    starts = {}
+    for i, element in enumerate(form.memory):
+        starts[element.name] = tuple(law.start[i] for law in laws)
     return {
         "name": name,
         "function": _write_function(
             form, name, build_step(form.component), (DT,), (torque,), end_symbols
         ),
         "begin": _write_function(form, f"{name}_begin", initial_states, (), (), initial_symbols),
-        "joints": tuple(joints),
-        "values": {
-            coefficient.name: tuple(law.values[coefficient.name] for law in laws)
-            for coefficient in form.coefficients
-        },
-        "units": {coefficient.name: coefficient.unit for coefficient in form.coefficients},
-        "starts": {
-            element.name: tuple(law.start[i] for law in laws)
-            for i, element in enumerate(form.memory)
-        },
+        "joints": tuple(laws_by_joint),
+        "values": values,
+        "units": units,
+        "starts": starts,
     }
