@@ -1,10 +1,9 @@
 """MJCF export: friction as passive actuators."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import astuple, dataclass
 from importlib.metadata import version
-from itertools import zip_longest
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -87,7 +86,10 @@ def simulate_records(
     """Return records for the fit and the test of a projection."""
     peak = np.array([trained_speed(trained_range)])
     zero_offset = np.zeros(1)
-    lowest, highest = trained_range.tau_load if trained_range else (0.0, 0.0)
+    lowest = 0.0
+    highest = 0.0
+    if trained_range:
+        lowest, highest = trained_range.tau_load
     joint_records = []
     for seed, period in ((2, 40.0), (1, 20.0)):
         trajectory = random_fourier(
@@ -118,10 +120,10 @@ def compute_misfit(law: FrictionLaw, record: FrictionRecord) -> Misfit:
     tau_predicted = predict(law, t=record.t, dq=record.dq, q=record.q, tau_load=record.tau_load)
     difference = tau_predicted - record.tau
     largest_torque = float(np.max(np.abs(record.tau)))
-    return Misfit(
-        rmse=rmse(difference),
-        relative=float(np.max(np.abs(difference))) / largest_torque if largest_torque else 0.0,
-    )
+    relative = 0.0
+    if largest_torque:
+        relative = float(np.max(np.abs(difference))) / largest_torque
+    return Misfit(rmse=rmse(difference), relative=relative)
 
 
 def _find_poles(law: FrictionLaw) -> list[float]:
@@ -134,31 +136,26 @@ def _find_poles(law: FrictionLaw) -> list[float]:
 
 
 def _build_family(poles: list[float]) -> tuple[LawForm, SearchSpace]:
+    """Return the form of `project_law` with ripples of `poles` [1/rad], and its search space."""
     level = 1 + (RATIO.symbol - 1) * sympy.exp(-((DQ / V_S.symbol) ** 2))
-    bristles = tuple(
-        Relaxation(
-            name=f"z{i}",
-            unit="rad",
-            drive=DQ,
-            rate=absolute(DQ) / (sympy.Float(deflection) * level),
+    torque = SIGMA_2.symbol * DQ + TAU_0.symbol
+    bristles = []
+    for i, (coefficient, deflection) in enumerate(zip(_FORCES, DEFLECTIONS, strict=True), start=1):
+        length = sympy.Float(deflection)
+        bristle = Relaxation(
+            name=f"z{i}", unit="rad", drive=DQ, rate=absolute(DQ) / (length * level)
         )
-        for i, deflection in enumerate(DEFLECTIONS, start=1)
-    )
-    waves = [
-        (Coefficient(name=f"{name}_{i}", unit="N.m", description="ripple"), wave(pole * Q))
-        for i, pole in enumerate(map(sympy.Float, poles), start=1)
-        for name, wave in (("a", sympy.cos), ("b", sympy.sin))
-    ]
-    torque = sum(
-        coefficient.symbol * (z.state + TIME.symbol * z.derivative) / sympy.Float(deflection)
-        for coefficient, z, deflection in zip(_FORCES, bristles, DEFLECTIONS, strict=True)
-    )
-    torque += (
-        SIGMA_2.symbol * DQ
-        + TAU_0.symbol
-        + sum(coefficient.symbol * wave for coefficient, wave in waves)
-    )
-    linear = (*_FORCES, SIGMA_2, TAU_0, *(coefficient for coefficient, _ in waves))
+        bristles.append(bristle)
+        elongation = bristle.state + TIME.symbol * bristle.derivative
+        torque += coefficient.symbol * elongation / length
+    ripples = []
+    for i, pole in enumerate(poles, start=1):
+        angle = sympy.Float(pole) * Q
+        for name, wave in (("a", sympy.cos(angle)), ("b", sympy.sin(angle))):
+            ripple = Coefficient(name=f"{name}_{i}", unit="N.m", description="ripple")
+            ripples.append(ripple)
+            torque += ripple.symbol * wave
+    linear = (*_FORCES, SIGMA_2, TAU_0, *ripples)
     space = SearchSpace(
         bounds=(
             (RATIO.name, STATIC_RATIO_BOUNDS),
@@ -168,7 +165,8 @@ def _build_family(poles: list[float]) -> tuple[LawForm, SearchSpace]:
         linear=tuple(coefficient.name for coefficient in linear),
         non_negative=len(_FORCES) + 1,
     )
-    return LawForm(coefficients=(*linear, RATIO, V_S, TIME), memory=bristles, output=torque), space
+    coefficients = (*linear, RATIO, V_S, TIME)
+    return LawForm(coefficients=coefficients, memory=tuple(bristles), output=torque), space
 
 
 _MJCF_HEAD = """\
@@ -229,12 +227,14 @@ def export_mjcf_law(
         raise ExportError(f"{path}: the name of an MJCF ends in .xml.")
     require_exportable(model, "an MJCF of one actuator per joint", coupled=False)
     with written_whole(path) as temporary:
-        exports = [
-            _export_joint(model, j, project)
-            for j in report_progress(range(len(model.joints)), progress)
-        ]
-        projection = Projection(joints=tuple(joint_projection for _, joint_projection in exports))
-        text = "".join(_compose_mjcf(model, [parts for parts, _ in exports], projection))
+        joint_parts = []
+        joint_projections = []
+        for j in report_progress(range(len(model.joints)), progress):
+            friction, joint_projection = _export_joint(model, j, project)
+            joint_parts.append(friction)
+            joint_projections.append(joint_projection)
+        projection = Projection(joints=tuple(joint_projections))
+        text = "".join(_compose_mjcf(model, joint_parts, projection))
         temporary.write_text(text, encoding="utf-8")
     return projection
 
@@ -252,7 +252,9 @@ def _export_joint(
         refusal = (
             f"law '{model.law}' of joint '{joint}' is not expressible in MJCF: {missing_term};"
         )
-        trained_range = model.trained[j] if model.trained else None
+        trained_range = None
+        if model.trained:
+            trained_range = model.trained[j]
         try:
             if project:
                 nearest_law, fitted_misfit, test_misfit = project_law(
@@ -305,13 +307,23 @@ def _compose_mjcf(
 
 
 def _list_actuators(friction: JointFriction) -> Iterator[str]:
-    pairs = list(zip_longest(friction.bristles, friction.waves)) or [(None, None)]
-    for k, (bristle, wave) in enumerate(pairs):
-        numbers = {
-            "lugre": astuple(bristle) if bristle else (0.0,) * 5,
-            "damping": (0.0 if k else friction.viscous,),
-            "cogging": astuple(wave) if wave else (0.0,) * 3,
-        }
-        yield " ".join(
-            f'{name}="{" ".join(f"{x:.17g}" for x in values)}"' for name, values in numbers.items()
+    """Yield the attributes of each actuator of a joint; the first has all viscous friction."""
+    actuator_count = max(len(friction.bristles), len(friction.waves), 1)
+    for k in range(actuator_count):
+        lugre = (0.0,) * 5
+        viscous = 0.0
+        cogging = (0.0,) * 3
+        if k < len(friction.bristles):
+            lugre = astuple(friction.bristles[k])
+        if k == 0:
+            viscous = friction.viscous
+        if k < len(friction.waves):
+            cogging = astuple(friction.waves[k])
+        yield (
+            f'lugre="{_format_numbers(lugre)}" damping="{_format_numbers([viscous])}" '
+            f'cogging="{_format_numbers(cogging)}"'
         )
+
+
+def _format_numbers(numbers: Iterable[float]) -> str:
+    return " ".join(f"{number:.17g}" for number in numbers)

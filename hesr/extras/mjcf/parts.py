@@ -12,7 +12,7 @@ a cogging without poles.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass
 from typing import Self
 
@@ -74,58 +74,87 @@ class JointFriction:
 def find_parts(law: FrictionLaw) -> JointFriction:
     """Return the exact parts for a law; raises NoCounterpartError."""
     form = law.form
-    if form.stops:
-        raise NoCounterpartError(
-            f"its state '{form.stops[0].name}' is a stop, and MuJoCo's bristles relax"
-        )
-    for relaxation, start in zip(form.relaxations, law.start, strict=True):
-        if start:
-            raise NoCounterpartError(
-                f"its state '{relaxation.name}' starts at {start:g}, MuJoCo's at 0"
-            )
+    _require_bristles_at_rest(law)
     values = {coefficient.symbol: law.values[coefficient.name] for coefficient in form.coefficients}
     zeros = {symbol: 0 for symbol, value in values.items() if value == 0.0}
     motions = [_Motion.from_relaxation(r, zeros, values) for r in form.relaxations]
     if form.relaxations and law.discretisation != "exact":
         raise NoCounterpartError("it has Euler steps, and MuJoCo relaxes a bristle exactly")
-    forces = {s: sympy.S.Zero for r in form.relaxations for s in (r.state, r.derivative)}
+    forces = {}  # torque per state, and per its derivative
+    for relaxation in form.relaxations:
+        forces[relaxation.state] = sympy.S.Zero
+        forces[relaxation.derivative] = sympy.S.Zero
     viscous = 0.0
     waves = []
     for term in sympy.Add.make_args(sympy.expand_mul(form.output.subs(zeros))):
         states = forces.keys() & term.free_symbols
-        factors = {symbol: term / symbol for symbol in states or {DQ}}
-        linear = [
-            (symbol, factor)
-            for symbol, factor in factors.items()
-            if not _uses_inputs(factor) and not states & factor.free_symbols
-        ]
-        if states and linear:
-            [(state, factor)] = linear
-            forces[state] += factor
-        elif linear:
-            viscous += _evaluate(factors[DQ], values, "its viscous friction")
-        elif not states and not _uses_inputs(term):
-            torque = _evaluate(term, values, "a term of its torque")
-            waves.append(Wave(amplitude=-torque, poles=0.0, phase=math.pi / 2.0))
-        elif not states and (wave := _find_wave(term, values)):
-            waves.append(wave)
-        elif TAU_LOAD in term.free_symbols:
-            raise NoCounterpartError(
-                f"its torque has the term {to_text(term)}, which depends on the load"
-            )
+        linear = _split_linear_term(term, states)
+        if linear is not None:
+            symbol, factor = linear
+            if symbol in states:
+                forces[symbol] += factor
+            else:
+                viscous += _evaluate(factor, values, "its viscous friction")
+        elif states:
+            raise _refuse_term(term)
         else:
+            waves.append(_build_wave(term, values))
+    bristles = []
+    for relaxation, motion in zip(form.relaxations, motions, strict=True):
+        bristle = _build_bristle(
+            relaxation, motion, forces[relaxation.state], forces[relaxation.derivative], values
+        )
+        if bristle is not None:
+            bristles.append(bristle)
+    return JointFriction(bristles=tuple(bristles), viscous=viscous, waves=tuple(waves))
+
+
+def _require_bristles_at_rest(law: FrictionLaw) -> None:
+    """Raise NoCounterpartError unless all states relax and start at 0."""
+    if law.form.stops:
+        raise NoCounterpartError(
+            f"its state '{law.form.stops[0].name}' is a stop, and MuJoCo's bristles relax"
+        )
+    for relaxation, start in zip(law.form.relaxations, law.start, strict=True):
+        if start:
             raise NoCounterpartError(
-                f"its torque has the term {to_text(term)}, which is neither a bristle's nor "
-                "viscous nor a ripple in the joint's angle alone"
+                f"its state '{relaxation.name}' starts at {start:g}, MuJoCo's at 0"
             )
-    bristles = [
-        _build_bristle(r, motion, forces[r.state], forces[r.derivative], values)
-        for r, motion in zip(form.relaxations, motions, strict=True)
-    ]
-    return JointFriction(
-        bristles=tuple(bristle for bristle in bristles if bristle is not None),
-        viscous=viscous,
-        waves=tuple(waves),
+
+
+def _split_linear_term(
+    term: sympy.Expr, states: Set[sympy.Symbol]
+) -> tuple[sympy.Symbol, sympy.Expr] | None:
+    """Return the state of a term, or the velocity, and its constant factor; None if not linear.
+
+    `states` are those in the term, with their derivatives; a product of two is not linear in one.
+    """
+    for symbol in states or {DQ}:
+        factor = term / symbol
+        if not _uses_inputs(factor) and not states & factor.free_symbols:
+            return symbol, factor
+    return None
+
+
+def _build_wave(term: sympy.Expr, values: Values) -> Wave:
+    """Return the cogging of a term of constants and the position, or raise NoCounterpartError."""
+    if not _uses_inputs(term):
+        torque = _evaluate(term, values, "a term of its torque")
+        return Wave(amplitude=-torque, poles=0.0, phase=math.pi / 2.0)
+    wave = _find_wave(term, values)
+    if wave is None:
+        raise _refuse_term(term)
+    return wave
+
+
+def _refuse_term(term: sympy.Expr) -> NoCounterpartError:
+    if TAU_LOAD in term.free_symbols:
+        return NoCounterpartError(
+            f"its torque has the term {to_text(term)}, which depends on the load"
+        )
+    return NoCounterpartError(
+        f"its torque has the term {to_text(term)}, which is neither a bristle's nor "
+        "viscous nor a ripple in the joint's angle alone"
     )
 
 
@@ -151,20 +180,21 @@ class _Motion:
                 f"{state_label} is driven by {to_text(drive)}, a bristle by the velocity itself"
             )
         peaks = [exponential for exponential in rate.atoms(sympy.exp) if _uses_inputs(exponential)]
-        stribeck = (
-            _find_stribeck_velocity(peaks[0], values, state_label) if len(peaks) == 1 else None
-        )
+        peak = None
+        stribeck = None
+        if len(peaks) == 1:
+            peak = peaks[0]
+            stribeck = _find_stribeck_velocity(peak, values, state_label)
         speed = sympy.Dummy(positive=True)
-        slope = sympy.cancel(
-            rate.subs(dict.fromkeys(peaks, _PEAK)).subs(absolute(DQ), speed) / speed
-        )
+        rate_of_speed = rate.subs(dict.fromkeys(peaks, _PEAK)).subs(absolute(DQ), speed)
+        slope = sympy.cancel(rate_of_speed / speed)
         is_shape_supported = not peaks or stribeck is not None
         if not is_shape_supported or speed in slope.free_symbols or _uses_inputs(slope):
             raise NoCounterpartError(
                 f"{state_label} relaxes at the rate {to_text(rate)}, a bristle in proportion "
                 "to the speed with one Stribeck peak at most"
             )
-        return cls(scale=scale, rate=slope, peak=peaks[0] if peaks else None, stribeck=stribeck)
+        return cls(scale=scale, rate=slope, peak=peak, stribeck=stribeck)
 
 
 _PEAK = sympy.Symbol("_peak", positive=True)  # exp(-(v / v_s)^2): 1 at rest, 0 at speed
@@ -225,16 +255,17 @@ def _build_bristle(
             f"{to_text(level.subs(_PEAK, motion.peak))}, a bristle's a constant with a Stribeck "
             "peak"
         )
-    coulomb, static = (
-        _evaluate(level.subs(_PEAK, peak), values, f"the sliding torque of {state_label}")
-        for peak in (0, 1)
-    )
+    label = f"the sliding torque of {state_label}"
+    coulomb = _evaluate(level.subs(_PEAK, 0), values, label)
+    static = _evaluate(level.subs(_PEAK, 1), values, label)
     if not (coulomb > 0.0 and static > 0.0):
         raise NoCounterpartError(
             f"{state_label} slides at {coulomb:g} to {static:g} {{unit}}, a bristle at more than 0",
             "N.m",
         )
-    stribeck = 1.0 if motion.stribeck is None else motion.stribeck
+    stribeck = motion.stribeck
+    if stribeck is None:  # coulomb and static are equal, so any velocity will do
+        stribeck = 1.0
     return Bristle(
         stiffness=numeric_stiffness,
         damping=micro_damping,
