@@ -1,6 +1,7 @@
 """Modelica export of a friction model; its pages are plain ASCII HTML for old browsers."""
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -47,20 +48,33 @@ TEMPLATES = Path(__file__).parent / "templates"
 def joint_html(model: FrictionModel, j: int, audit: Audit | None) -> str:
     """Return the documentation of the law of joint `j`, from 0."""
     law = model.laws[j]
-    trained_range = model.trained[j] if model.trained else None
+    numbers = []
+    if is_exposed(law):
+        numbers = equations_with_numbers(law)
+    intervals = []
+    if law.standard_errors:
+        intervals = coefficient_lines(law)
+    trained_intervals = []
+    if model.trained:
+        for name, unit in INPUT_UNITS.items():
+            interval = spell_interval(getattr(model.trained[j], name))
+            trained_intervals.append(f"{name} {interval} {unit}")
+    training_rmse = None
+    if model.training_rmse:
+        training_rmse = figure(model.training_rmse[j], 3)
+    verdict = ""
+    if audit is not None:
+        verdict = datasheet.verdict(audit, is_trained=bool(model.trained))
     return _render_page(
         "modelica_joint.html.j2",
         joint=model.joints[j],
         title=title(law, ""),
-        numbers=equations_with_numbers(law) if is_exposed(law) else [],
-        intervals=coefficient_lines(law) if law.standard_errors else [],
+        numbers=numbers,
+        intervals=intervals,
         start_samples=law.start_samples,
-        seen=[
-            f"{name} {spell_interval(getattr(trained_range, name))} {unit}"
-            for name, unit in (INPUT_UNITS if trained_range else {}).items()
-        ],
-        rmse=figure(model.training_rmse[j], 3) if model.training_rmse else None,
-        verdict=datasheet.verdict(audit, is_trained=bool(model.trained)) if audit else "",
+        seen=trained_intervals,
+        rmse=training_rmse,
+        verdict=verdict,
     )
 
 
@@ -109,9 +123,10 @@ def package(model: FrictionModel, package_name: str) -> str:
     escapes = str.maketrans({"\\": r"\\", '"': r"\""})
     environment.filters["quoted"] = lambda text: f'"{text.translate(escapes)}"'
     laws = _name_forms(model.laws)
-    forms = [_describe_form(form, law) for form, law in laws.items()]
+    forms = [_describe_form(form_name, law) for form_name, law in laws.items()]
+    form_names = {law.form: form_name for form_name, law in laws.items()}
     audits, refusal = datasheet.audit_laws(model)
-    joints = _describe_joints(model, {law.form: form for form, law in laws.items()}, audits)
+    joints = _describe_joints(model, form_names, audits)
     documentation = _render_page(
         "modelica.html.j2",
         model=model,
@@ -136,33 +151,47 @@ def package(model: FrictionModel, package_name: str) -> str:
 
 
 def _find_oddity(name: str, reserved: frozenset[str]) -> str:
+    """Return why Modelica does not take a name; empty if it does."""
     if name in reserved:
         return "taken by Modelica"
-    return "" if name.isascii() and name.isidentifier() else "not a valid name in Modelica"
+    if not (name.isascii() and name.isidentifier()):
+        return "not a valid name in Modelica"
+    return ""
 
 
 def _name_forms(laws: Sequence[FrictionLaw]) -> dict[str, FrictionLaw]:
+    """Return the first law of each form by the name of its block, numbered if it is not unique."""
     first_laws: dict[LawForm, FrictionLaw] = {}
     for law in laws:
         first_laws.setdefault(law.form, law)
-    stems = [
-        "".join(part.capitalize() for part in re.findall(r"[A-Za-z0-9]+", law.name))
-        for law in first_laws.values()
-    ]
-    stems = [
-        stem if stem[:1].isalpha() and stem not in _RESERVED_WORDS | _LIBRARIES else f"Law{stem}"
-        for stem in stems
-    ]
-    return {
-        stem if stems.count(stem) == 1 else f"{stem}_{stems[:i].count(stem) + 1}": law
-        for i, (stem, law) in enumerate(zip(stems, first_laws.values(), strict=True))
-    }
+    counts = Counter(_build_block_name(law.name) for law in first_laws.values())
+    laws_by_name = {}
+    numbers: Counter[str] = Counter()
+    for law in first_laws.values():
+        name = _build_block_name(law.name)
+        numbers[name] += 1
+        if counts[name] > 1:
+            name = f"{name}_{numbers[name]}"
+        laws_by_name[name] = law
+    return laws_by_name
+
+
+def _build_block_name(law_name: str) -> str:
+    """Return the name of a law in camel case, and with "Law" in front if Modelica needs it."""
+    words = re.findall(r"[A-Za-z0-9]+", law_name)
+    name = "".join(word.capitalize() for word in words)
+    if not name[:1].isalpha() or name in _RESERVED_WORDS | _LIBRARIES:
+        return f"Law{name}"
+    return name
 
 
 def _describe_form(name: str, law: FrictionLaw) -> dict[str, Any]:
     form = law.form
     equations = print_equations(form)
     _require_names(law, equations)
+    steady = ""
+    if equations.beginning:
+        steady = _STEADY_START
     coefficients = [
         (coefficient.name, coefficient.unit, coefficient.description)
         for coefficient in form.coefficients
@@ -177,25 +206,22 @@ def _describe_form(name: str, law: FrictionLaw) -> dict[str, Any]:
         "parameters": [*coefficients, *start_values],
         "states": [(element.name, element.unit) for element in form.memory],
         "equations": equations,
-        "steady": _STEADY_START if equations.beginning else "",
+        "steady": steady,
         "moving": f"{form.steady_speed:g}",
     }
 
 
 def _require_names(law: FrictionLaw, equations: Equations) -> None:
-    used_names = {*(quantity.name for quantity in INPUTS), "tau", _STEADY_START}
+    """Raise ExportError unless the names of a law are distinct, and Modelica takes them."""
+    used_names = {quantity.name for quantity in INPUTS}
+    used_names |= {"tau", _STEADY_START}
     names = [*law.values, *equations.signs]
-    names += [
-        element_name
-        for element in law.form.memory
-        for element_name in (element.name, name_start_value(element.name))
-    ]
+    for element in law.form.memory:
+        names += [element.name, name_start_value(element.name)]
     for name in names:
-        oddity = (
-            "used twice"
-            if name in used_names
-            else _find_oddity(name, _RESERVED_WORDS | set(FUNCTIONS))
-        )
+        oddity = _find_oddity(name, _RESERVED_WORDS | set(FUNCTIONS))
+        if name in used_names:
+            oddity = "used twice"
         if oddity:
             raise ExportError(
                 f"law '{law.name}': the name '{name}' is {oddity}; use distinct names of letters, "
@@ -207,35 +233,46 @@ def _require_names(law: FrictionLaw, equations: Equations) -> None:
 def _describe_joints(
     model: FrictionModel, names: Mapping[LawForm, str], audits: Sequence[Audit]
 ) -> list[dict[str, Any]]:
+    """Return the values of each joint for the template; without `audits` it has no torque."""
     motion = reference_motion(model, frequency=_FREQUENCY)
     joint_entries = []
     for j, law in enumerate(model.laws):
-        audit = audits[j] if audits else None
+        audit = None
+        largest_torque = 0.0
+        if audits:
+            audit = audits[j]
+            largest_torque = audit.largest
         speed = float(np.abs(motion.dq[:, j]).max())
-        largest_torque = audit.largest if audit else 0.0
-        expressions = (
-            law.form.output.subs(DT, 0),
-            *(part for element in law.form.memory for part in element.parts),
-        )
-        has_jumps = any(part.has(sgn) for part in expressions)
-        joint_entries.append(
-            {
-                "name": f"Joint{j + 1}",
-                "label": model.joints[j],
-                "title": f"Friction of {model.joints[j]}",
-                "form": names[law.form],
-                "modifications": _list_modifications(law),
-                "info": joint_html(model, j, audit),
-                "jumps": has_jumps,
-                "uses_load": TAU_LOAD in law.form.inputs,
-                "load": f"{motion.tau_load[:, j].mean():.4g}",
-                "speed": f"{speed:.4g}",
-                # Overcomes the friction; the inertia keeps the speed near the trained ones.
-                "torque": "" if has_jumps or not largest_torque else f"{1.5 * largest_torque:.4g}",
-                "inertia": f"{largest_torque / (2.0 * np.pi * _FREQUENCY * speed):.4g}",
-            }
-        )
+        has_jumps = _has_jumps(law.form)
+        # The torque overcomes the friction; the inertia keeps the speed near the trained ones.
+        torque = ""
+        if largest_torque and not has_jumps:
+            torque = f"{1.5 * largest_torque:.4g}"
+        inertia = largest_torque / (2.0 * np.pi * _FREQUENCY * speed)
+        entry = {
+            "name": f"Joint{j + 1}",
+            "label": model.joints[j],
+            "title": f"Friction of {model.joints[j]}",
+            "form": names[law.form],
+            "modifications": _list_modifications(law),
+            "info": joint_html(model, j, audit),
+            "jumps": has_jumps,
+            "uses_load": TAU_LOAD in law.form.inputs,
+            "load": f"{motion.tau_load[:, j].mean():.4g}",
+            "speed": f"{speed:.4g}",
+            "torque": torque,
+            "inertia": f"{inertia:.4g}",
+        }
+        joint_entries.append(entry)
     return joint_entries
+
+
+def _has_jumps(form: LawForm) -> bool:
+    """Return whether the torque or the equation of a state jumps with a sign."""
+    expressions = [form.output.subs(DT, 0)]
+    for element in form.memory:
+        expressions += element.parts
+    return any(expression.has(sgn) for expression in expressions)
 
 
 def _list_modifications(law: FrictionLaw) -> list[str]:

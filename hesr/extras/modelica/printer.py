@@ -67,38 +67,43 @@ class Equations:
 def print_equations(form: LawForm) -> Equations:
     """Return `der(x) = drive - rate*x` of each state, and `tau`."""
     bends = Jumps(form.component, all_magnitudes=True).expressions
-    signs = [
-        sympy.Dummy(f"sign_{bend.name if bend.is_Symbol else i}", real=True)
-        for i, bend in enumerate(bends, start=1)
-    ]
-    sign_symbols = {sgn(bend): sign for bend, sign in zip(bends, signs, strict=True)}
-    sign_symbols |= {absolute(bend): sign * bend for bend, sign in zip(bends, signs, strict=True)}
+    signs = {}
+    held_signs = {}  # what the signs replace
+    for i, bend in enumerate(bends, start=1):
+        label = str(i)
+        if bend.is_Symbol:
+            label = bend.name
+        sign = sympy.Dummy(f"sign_{label}", real=True)
+        signs[bend] = sign
+        held_signs[sgn(bend)] = sign
+        held_signs[absolute(bend)] = sign * bend
     printer = _Printer({element.derivative: f"der({element.name})" for element in form.memory})
 
-    def print_text(expression: sympy.Expr, level: int = 0, *, is_initial: bool = False) -> str:
-        # No sign is held before the first event.
-        substituted = expression if is_initial else expression.xreplace(sign_symbols)
-        return printer.text(substituted, level, of=expression)
+    def print_text(expression: sympy.Expr, level: int = 0) -> str:
+        return printer.text(expression.xreplace(held_signs), level, of=expression)
 
-    lines = [
-        f"der({element.name}) = {print_text(element.drive)} - "
-        f"{print_text(element.rate, PRECEDENCE['Mul'])}*{element.name}"
-        if isinstance(element, Relaxation)
-        else f"der({element.name}) = {print_text(element.express_derivative())}"
-        for element in form.memory
-    ]
+    lines = []
+    for element in form.memory:
+        if isinstance(element, Relaxation):
+            drive = print_text(element.drive)
+            rate = print_text(element.rate, PRECEDENCE["Mul"])
+            derivative = f"{drive} - {rate}*{element.name}"
+        else:
+            derivative = print_text(element.express_derivative())
+        lines.append(f"der({element.name}) = {derivative}")
+    lines.append(f"tau = {print_text(form.output.subs(DT, 0))}")
+    sign_equations = {}
+    for bend, sign in signs.items():
+        text = print_text(bend)
+        sign_equations[sign.name] = f"if {text} > 0 then 1 elseif {text} < 0 then -1 else 0"
+    beginning = []
+    for name, expression in _find_initial_equations(form).items():
+        # No sign is held before the first event.
+        beginning.append((name, _wrap_line(printer.text(expression, of=expression))))
     return Equations(
-        signs={
-            sign.name: f"if {text} > 0 then 1 elseif {text} < 0 then -1 else 0"
-            for sign, text in zip(signs, map(print_text, bends), strict=True)
-        },
-        lines=tuple(
-            _wrap_line(line) for line in (*lines, f"tau = {print_text(form.output.subs(DT, 0))}")
-        ),
-        beginning=tuple(
-            (name, _wrap_line(print_text(expression, is_initial=True)))
-            for name, expression in _find_initial_equations(form).items()
-        ),
+        signs=sign_equations,
+        lines=tuple(_wrap_line(line) for line in lines),
+        beginning=tuple(beginning),
     )
 
 
@@ -106,13 +111,12 @@ def _find_initial_equations(form: LawForm) -> dict[str, sympy.Expr]:
     if any(element.seeks for element in form.memory):
         return {}
     initial_expressions = initial_state(form.memory, form.component.settling)
-    names = {
-        element.state: sympy.Symbol(name_start_value(element.name), real=True)
-        for element in form.memory
-    }
-    names |= {initial_symbol(element): element.state for element in form.memory}
+    symbols = {}  # start values for states, and states for their settled values
+    for element in form.memory:
+        symbols[element.state] = sympy.Symbol(name_start_value(element.name), real=True)
+        symbols[initial_symbol(element)] = element.state
     return {
-        element.name: initial_expressions[initial_symbol(element)].xreplace(names)
+        element.name: initial_expressions[initial_symbol(element)].xreplace(symbols)
         for element in form.memory
     }
 
