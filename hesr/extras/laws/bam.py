@@ -34,8 +34,10 @@ from hesr_model.laws.stribeck import F_C, SIGMA_2, TAU_0, V_S, VELOCITY_BOUNDS
 from hesr_model.rigid_body.friction_record import FrictionRecord
 
 ALPHAS = (1, 2, 3)  # candidate exponents of the Stribeck curve
+_USUAL_ALPHA = 2
 _STRIBECK_FACTOR = sympy.Symbol("e", real=True)  # stands for exp(-|v/v_s|^alpha)
-_AHEAD, _BACK = (positive(side * sgn(DQ) * TAU_LOAD) for side in (1, -1))
+_AHEAD = positive(sgn(DQ) * TAU_LOAD)  # load in the direction of motion: the motor drives
+_BACK = positive(-sgn(DQ) * TAU_LOAD)  # load against it: the motor is driven
 _LOAD_SIZE = absolute(TAU_LOAD)
 
 
@@ -47,19 +49,16 @@ _LEVEL = _term("F_c", F_C.unit, F_C.description, sympy.Integer(1))
 _RISE = _term("F_e", "N.m", "rise of friction at rest", _STRIBECK_FACTOR)
 _LOAD = _term("mu", "1", "friction per load", _LOAD_SIZE)
 _LOAD_RISE = _term("mu_e", "1", "its rise at rest", _STRIBECK_FACTOR * _LOAD_SIZE)
-_DRIVING = tuple(
-    _term(name + side, unit, f"{text}, {when}", factor * load**power)
-    for side, when, load in (("_d", "driving motor", _AHEAD), ("_b", "driven motor", _BACK))
-    for name, unit, text, factor, power in (
-        ("mu", "1", "friction per load", sympy.Integer(1), 1),
-        ("mu_e", "1", "its rise at rest", _STRIBECK_FACTOR, 1),
-    )
+_DRIVING = (
+    _term("mu_d", "1", "friction per load, driving motor", _AHEAD),
+    _term("mu_e_d", "1", "its rise at rest, driving motor", _STRIBECK_FACTOR * _AHEAD),
+    _term("mu_b", "1", "friction per load, driven motor", _BACK),
+    _term("mu_e_b", "1", "its rise at rest, driven motor", _STRIBECK_FACTOR * _BACK),
 )
-_SQUARES = tuple(
-    _term(
-        name, "1/(N.m)", f"rise at rest per square of the load, {when}", _STRIBECK_FACTOR * load**2
-    )
-    for name, when, load in (("nu_d", "driving motor", _AHEAD), ("nu_b", "driven motor", _BACK))
+_SQUARE_TEXT = "rise at rest per square of the load"
+_SQUARES = (
+    _term("nu_d", "1/(N.m)", f"{_SQUARE_TEXT}, driving motor", _STRIBECK_FACTOR * _AHEAD**2),
+    _term("nu_b", "1/(N.m)", f"{_SQUARE_TEXT}, driven motor", _STRIBECK_FACTOR * _BACK**2),
 )
 
 
@@ -72,33 +71,43 @@ class _Bam(OneForm):
 
     @classmethod
     def core(cls, structure: Mapping[str, Any]) -> LawForm:
-        alpha = structure.get("alpha", 2)
-        has_rise = cls._has_rise()
-        if structure.keys() - ({"alpha"} if has_rise else set()) or alpha not in ALPHAS:
-            choices = f"'alpha', one of {', '.join(map(str, ALPHAS))}" if has_rise else "nothing"
-            raise ArtifactError(
-                f"law '{cls.name}' has {choices} to choose, found {dict(structure)}."
-            )
+        cls._require_choices(structure)
+        alpha = structure.get("alpha", _USUAL_ALPHA)
         stribeck_factor = sympy.exp(-((absolute(DQ) / V_S.symbol) ** alpha))
-        level = sum(coefficient.symbol * factor for coefficient, factor in cls.terms).xreplace(
-            {_STRIBECK_FACTOR: stribeck_factor}
-        )
+        level = sum(coefficient.symbol * factor for coefficient, factor in cls.terms)
+        level = level.xreplace({_STRIBECK_FACTOR: stribeck_factor})
+        coefficients = [coefficient for coefficient, _ in cls.terms]
+        coefficients += [SIGMA_2, TAU_0]
+        if cls._has_rise():
+            coefficients.append(V_S)
         return LawForm(
-            coefficients=(
-                *(coefficient for coefficient, _ in cls.terms),
-                SIGMA_2,
-                TAU_0,
-                *((V_S,) if has_rise else ()),
-            ),
+            coefficients=tuple(coefficients),
             output=level * sgn(DQ) + SIGMA_2.symbol * DQ + TAU_0.symbol,
         )
 
+    @classmethod
+    def _require_choices(cls, structure: Mapping[str, Any]) -> None:
+        """Raise ArtifactError unless a structure chooses at most the exponent, if there is one."""
+        keys: set[str] = set()
+        choices = "nothing"
+        if cls._has_rise():
+            keys = {"alpha"}
+            choices = f"'alpha', one of {', '.join(map(str, ALPHAS))}"
+        if structure.keys() - keys or structure.get("alpha", _USUAL_ALPHA) not in ALPHAS:
+            raise ArtifactError(
+                f"law '{cls.name}' has {choices} to choose, found {dict(structure)}."
+            )
+
     def space(self) -> SearchSpace:
-        names = (*(coefficient.name for coefficient, _ in self.terms), SIGMA_2.name)
+        bounds = []
+        if self._has_rise():
+            bounds.append((V_S.name, VELOCITY_BOUNDS))
+        non_negative = [coefficient.name for coefficient, _ in self.terms]
+        non_negative.append(SIGMA_2.name)
         return SearchSpace(
-            bounds=((V_S.name, VELOCITY_BOUNDS),) if self._has_rise() else (),
-            linear=(*names, TAU_0.name),
-            non_negative=len(names),
+            bounds=tuple(bounds),
+            linear=(*non_negative, TAU_0.name),
+            non_negative=len(non_negative),
         )
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:

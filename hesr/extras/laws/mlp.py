@@ -157,19 +157,19 @@ class MlpH(NetworkEstimator):
         scale = max(float(rows.tau.std()), _MIN_SCALE)
         y = (rows.tau - mean_torque) / scale
         folds = rows.folds
-        initial_layers = {
-            hidden: [evolve.starting_points(rng, hidden, 4).T for _ in range(self.starts)]
-            for hidden in self.tried_sizes
-        }
+        initial_layers: dict[int, list[Array]] = {}
+        for hidden in self.tried_sizes:
+            initial_layers[hidden] = [
+                evolve.starting_points(rng, hidden, 4).T for _ in range(self.starts)
+            ]
 
         def build_law(inputs: NetworkInputs, hidden: int, decay: int) -> FrictionLaw:
             decays = DECAYS[: decay + 1]
             networks = [
                 train_path(inputs.z, y, theta, decays)[-1] for theta in initial_layers[hidden]
             ]
-            return self._build_network_law(
-                inputs, min(networks, key=lambda network: network.cost), mean_torque, scale
-            )
+            best_network = min(networks, key=lambda network: network.cost)
+            return self._build_network_law(inputs, best_network, mean_torque, scale)
 
         def compute_costs(inputs: NetworkInputs, hidden: int) -> Array:
             return cross_validate(inputs.z, y, folds, initial_layers[hidden])
@@ -211,8 +211,7 @@ def cross_validate(
     for fold in folds:
         training_rows = np.flatnonzero(~fold)[::stride]
         for theta in initial_layers:
-            for decay_index, network in enumerate(
-                train_path(z[training_rows], y[training_rows], theta, DECAYS)
-            ):
+            networks = train_path(z[training_rows], y[training_rows], theta, DECAYS)
+            for decay_index, network in enumerate(networks):
                 total[decay_index] += np.sum((network.output(z[fold]) - y[fold]) ** 2)
     return total / (len(y) * len(initial_layers))

@@ -32,7 +32,9 @@ class LuGreStaticFirst(LuGre):
     everyday = False
 
     def __init__(self, *, textbook: bool = False) -> None:
-        self.ratio = RATIO_TEXTBOOK if textbook else FREE_RATIO
+        self.ratio = FREE_RATIO
+        if textbook:
+            self.ratio = RATIO_TEXTBOOK
 
     def space(self) -> SearchSpace:
         """Search the bristle within the limits of the static curve."""
@@ -43,12 +45,11 @@ class LuGreStaticFirst(LuGre):
         form = self.core({})
         rows = JointRows.from_records(records, coefficients=len(form.coefficients))
         space = self.space().scale_to_joint(is_prismatic=rows.sliding)
-        stiff_space = replace(
-            bristle_space(
-                ("F_c", "sigma_2", "tau_0"), 2, ratio=self.ratio, deflection=_STIFF_DEFLECTIONS
-            ),
-            values=(*space.values, ("sigma_1", sympy.Integer(0))),
+        stiff_space = bristle_space(
+            ("F_c", "sigma_2", "tau_0"), 2, ratio=self.ratio, deflection=_STIFF_DEFLECTIONS
         )
+        values_without_damping = (*space.values, ("sigma_1", sympy.Integer(0)))
+        stiff_space = replace(stiff_space, values=values_without_damping)
         curve_problem = Separable(form, stiff_space, rows)
         problem = Separable(form, space, rows)
         static_point = curve_problem.polish(curve_problem.search(rng))

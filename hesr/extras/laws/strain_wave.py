@@ -54,11 +54,14 @@ class StrainWave(OneForm):
 
 
 RISE_BOUNDS = (1e-4, 10.0)  # bounds of the relative rise per load [1/(N.m)]
-RISE_D, RISE_B = (
-    Coefficient(name=name, unit="1/(N.m)", description=f"relative rise per load, {which} motor")
-    for name, which in (("rise_d", "driving"), ("rise_b", "driven"))
+RISE_D = Coefficient(
+    name="rise_d", unit="1/(N.m)", description="relative rise per load, driving motor"
 )
-_AHEAD, _BACK = (positive(side * sgn(DQ) * TAU_LOAD) for side in (1, -1))
+RISE_B = Coefficient(
+    name="rise_b", unit="1/(N.m)", description="relative rise per load, driven motor"
+)
+_AHEAD = positive(sgn(DQ) * TAU_LOAD)  # load in the direction of motion: the motor drives
+_BACK = positive(-sgn(DQ) * TAU_LOAD)  # load against it: the motor is driven
 _BOUND = 1 + RISE_D.symbol * _AHEAD + RISE_B.symbol * _BACK
 _BOUND_MESH = replace(_MESH, rate=absolute(DQ) / (X_0.symbol * _BOUND))
 
