@@ -1,10 +1,11 @@
 """Drive FMU: a friction model and its motors; torque in, speed and angle out."""
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import sympy
@@ -40,13 +41,20 @@ class Motors:
     ratio: tuple[float, ...]  # turns of the motor per turn of the joint
 
 
-_REQUIREMENTS: dict[str, tuple[str, str, float, Callable[[float], bool]]] = {
-    "inertia": ("kg.m2", "a positive number", 0.0, lambda value: value > 0.0),
-    "stiffness": ("N.m/rad", "a number that is not negative", 0.0, lambda value: value >= 0.0),
-    "damping": ("N.m.s/rad", "a number that is not negative", 0.0, lambda value: value >= 0.0),
-    "ratio": ("turns", "a number other than zero", 1.0, lambda value: value != 0.0),
+class _Requirement(NamedTuple):
+    unit: str
+    text: str  # in words
+    default: float
+    is_met: Callable[[float], bool]
+
+
+_NOT_NEGATIVE = "a number that is not negative"
+_REQUIREMENTS = {
+    "inertia": _Requirement("kg.m2", "a positive number", 0.0, lambda value: value > 0.0),
+    "stiffness": _Requirement("N.m/rad", _NOT_NEGATIVE, 0.0, lambda value: value >= 0.0),
+    "damping": _Requirement("N.m.s/rad", _NOT_NEGATIVE, 0.0, lambda value: value >= 0.0),
+    "ratio": _Requirement("turns", "a number other than zero", 1.0, lambda value: value != 0.0),
 }
-"""Unit, requirement in words, default value, and test."""
 
 
 def build_motors(
@@ -58,24 +66,31 @@ def build_motors(
     ratio: Sequence[float] | None = None,
 ) -> Motors:
     """Return the motors of a number of joints, by default rigid and without a gear."""
-    properties = {}
-    arguments = (inertia, stiffness, damping, ratio)
-    for numbers, (name, (unit, text, default, is_valid)) in zip(
-        arguments, _REQUIREMENTS.items(), strict=True
-    ):
-        values = (default,) * joint_count if numbers is None else tuple(map(float, numbers))
-        if len(values) != joint_count:
+    return Motors(
+        inertia=_read_values("inertia", inertia, joint_count),
+        stiffness=_read_values("stiffness", stiffness, joint_count),
+        damping=_read_values("damping", damping, joint_count),
+        ratio=_read_values("ratio", ratio, joint_count),
+    )
+
+
+def _read_values(name: str, numbers: Sequence[float] | None, joint_count: int) -> tuple[float, ...]:
+    """Return a property of the motors of all joints; ExportError if it is impossible."""
+    requirement = _REQUIREMENTS[name]
+    values = (requirement.default,) * joint_count
+    if numbers is not None:
+        values = tuple(map(float, numbers))
+    if len(values) != joint_count:
+        raise ExportError(
+            f"drive: '{name}' has {len(values)} values; {joint_count} are needed, one per joint."
+        )
+    for number, value in enumerate(values, start=1):
+        if not (isfinite(value) and requirement.is_met(value)):
             raise ExportError(
-                f"drive: '{name}' has {len(values)} values; {joint_count} are needed, one per "
-                "joint."
+                f"drive: '{name}' of joint {number} is {value:g} {requirement.unit}; expected "
+                f"{requirement.text}."
             )
-        for number, value in enumerate(values, start=1):
-            if not (isfinite(value) and is_valid(value)):
-                raise ExportError(
-                    f"drive: '{name}' of joint {number} is {value:g} {unit}; expected {text}."
-                )
-        properties[name] = values
-    return Motors(**properties)
+    return values
 
 
 _INPUTS = (
@@ -105,43 +120,44 @@ _OUTPUTS = (
 
 
 def _build_interface(model: FrictionModel, joints: Sequence[Joint], motors: Motors) -> Interface:
+    """Return the variables of a drive: inputs, outputs, parameters and states of the friction."""
     zeros = (0.0,) * len(model.laws)
     torque = sympy.Symbol(TORQUE, real=True)
     friction_variables: list[Variable] = []
     law_variables: list[Variable] = []
-    for number, (joint_name, law, joint_equations) in enumerate(
-        zip(model.joints, model.laws, joints, strict=True), start=1
-    ):
+    for j, law in enumerate(model.laws):
+        number = j + 1
+        # The drive integrates speed and angle of the motor itself.
         sources = {
             "dq": (f"dq_start[{number}]", f"ratio[{number}]"),
             "q": (f"q_start[{number}]", f"ratio[{number}]"),
             "tau_load": friction_component.find_joint_signals("tau_load", number, model.coupling),
         }
-        dependencies = friction_component.dependencies(joint_equations, torque, sources)
-        text = f"friction torque of {joint_name} over the last inner step, on its side of the gear"
+        dependencies = friction_component.dependencies(joints[j], torque, sources)
+        text = (
+            f"friction torque of {model.joints[j]} over the last inner step, on its side of the "
+            "gear"
+        )
         friction_variables.append(
             Variable(f"tau_f[{number}]", "output", text, unit="N.m", dependencies=dependencies)
         )
-        law_variables += friction_component.law_variables(law, number, joint_equations, sources)
-    discretisation_variable = friction_component.discretisation(
-        model, "how the states of the friction are relaxed over an inner step"
-    )
-    rotary_variables = [
-        variable
-        for name, unit, text in _INPUTS
-        for variable in vector(name, "input", unit, text, zeros)
-    ]
+        law_variables += friction_component.law_variables(law, number, joints[j], sources)
+    rotary_variables: list[Variable] = []
+    for name, unit, text in _INPUTS:
+        rotary_variables += vector(name, "input", unit, text, zeros)
     for name, unit, text, dependency_patterns in _OUTPUTS:
-        rotary_variables += _couple_dependencies(
-            model.coupling, list(vector(name, "output", unit, text, zeros, dependency_patterns))
-        )
+        outputs = list(vector(name, "output", unit, text, zeros, dependency_patterns))
+        if name == "tau_link" and model.coupling is not None:
+            outputs = _couple_dependencies(model.coupling, outputs)
+        rotary_variables += outputs
     rotary_variables += friction_variables
     for name, unit, text in _PARAMETERS:
         rotary_variables += vector(name, "fixed", unit, text, getattr(motors, name, zeros))
-    rotary_variables.append(
-        Variable("substep", "fixed", "longest inner step", unit="s", start=SUBSTEP)
+    discretisation_variable = friction_component.discretisation(
+        model, "how the states of the friction are relaxed over an inner step"
     )
     rotary_variables += [
+        Variable("substep", "fixed", "longest inner step", unit="s", start=SUBSTEP),
         discretisation_variable,
         friction_component.start_mode(),
         *friction_component.scales(model),
@@ -149,6 +165,8 @@ def _build_interface(model: FrictionModel, joints: Sequence[Joint], motors: Moto
     ]
     variables = [_adapt_to_joint(variable, model.slides) for variable in rotary_variables]
     inputs = {variable.name for variable in variables if variable.role == "input"}
+    # FMPy requires inputs of one shape; flange inputs are scalars, so all inputs are.
+    connected = {name for name, _, _ in _INPUTS} | {"tau_link"}
     return Interface(
         variables=tuple(
             friction_component.make_inputs_initial(variable, inputs) for variable in variables
@@ -157,8 +175,7 @@ def _build_interface(model: FrictionModel, joints: Sequence[Joint], motors: Moto
         model_exchange=False,
         directional_derivatives=False,
         inner_steps=True,
-        # FMPy requires inputs of one shape; flange inputs are scalars, so all inputs are.
-        connected=frozenset({*(name for name, _, _ in _INPUTS), "tau_link"}),
+        connected=frozenset(connected),
     )
 
 
@@ -177,29 +194,31 @@ _PRISMATIC_WORDS = {
 }
 
 
-def _couple_dependencies(
-    coupling: Coupling | None, outputs: Sequence[Variable]
-) -> Iterator[Variable]:
+def _couple_dependencies(coupling: Coupling, outputs: Sequence[Variable]) -> list[Variable]:
+    """Return the torques on the links with what the torques of all their motors depend on."""
+    motor_dependencies = []
+    for number, variable in enumerate(outputs, start=1):
+        names: list[str] = []
+        for dependency in variable.dependencies:
+            quantity = dependency.partition("[")[0]
+            if quantity in ("q_link", "dq_link"):  # several links turn a motor
+                names += friction_component.find_joint_signals(quantity, number, coupling)
+            else:
+                names.append(dependency)
+        motor_dependencies.append(names)
+    coupled_outputs = []
     for link_number, variable in enumerate(outputs, start=1):
-        if coupling is None or not variable.name.startswith("tau_link["):
-            yield variable
-            continue
-        dependencies = [
-            name
-            for motor_number in friction_component.find_added_coordinates(link_number, coupling)
-            for dependency in outputs[motor_number - 1].dependencies
-            for name in (
-                friction_component.find_joint_signals(
-                    dependency.partition("[")[0], motor_number, coupling
-                )
-                if dependency.startswith(("q_link[", "dq_link["))
-                else (dependency,)
-            )
-        ]
-        yield replace(variable, dependencies=tuple(dict.fromkeys(dependencies)))
+        link_dependencies: list[str] = []
+        for motor_number in friction_component.find_added_coordinates(link_number, coupling):
+            link_dependencies += motor_dependencies[motor_number - 1]
+        unique_dependencies = tuple(dict.fromkeys(link_dependencies))
+        coupled_outputs.append(replace(variable, dependencies=unique_dependencies))
+    return coupled_outputs
 
 
-_VECTORS = [*(n for n, *_ in (*_INPUTS, *_OUTPUTS)), "tau_f", *(n for n, *_ in _PARAMETERS)]
+_VECTORS = [name for name, *_ in (*_INPUTS, *_OUTPUTS)]
+_VECTORS.append("tau_f")
+_VECTORS += [name for name, *_ in _PARAMETERS]
 _MACRO_VARIABLES = {name.upper(): f"{name}[1]" for name in _VECTORS}
 _MACRO_VARIABLES |= {name.upper(): name for name in ("substep", "discretisation", "start_mode")}
 
@@ -273,16 +292,16 @@ def content(model: FrictionModel, motors: Motors, *, bare: bool = False) -> Cont
 
 
 def _build_stimuli(model: FrictionModel, motors: Motors) -> Stimuli:
-    trained_ranges = model.trained or (None,) * len(model.joints)
+    """Return motor torques above the largest friction, at the middle of the trained loads."""
     amplitudes = {}
     loads = {}
-    for number, (trained_range, ratio) in enumerate(
-        zip(trained_ranges, motors.ratio, strict=True), start=1
-    ):
-        largest_friction = max(map(abs, trained_range.tau)) if trained_range else _DEFAULT_FRICTION
-        amplitudes[f"tau_motor[{number}]"] = float(
-            f"{3.0 * (largest_friction or _DEFAULT_FRICTION) / abs(ratio):.2g}"
-        )
-        tau_load = sum(trained_range.tau_load) / 2.0 if trained_range else 0.0
-        loads[f"tau_load[{number}]"] = np.full(ROWS + 1, float(f"{tau_load:.3g}"))
+    for j, ratio in enumerate(motors.ratio):
+        largest_friction = 0.0
+        tau_load = 0.0
+        if model.trained:
+            largest_friction = max(map(abs, model.trained[j].tau))
+            tau_load = sum(model.trained[j].tau_load) / 2.0
+        amplitude = 3.0 * (largest_friction or _DEFAULT_FRICTION) / abs(ratio)
+        amplitudes[f"tau_motor[{j + 1}]"] = float(f"{amplitude:.2g}")
+        loads[f"tau_load[{j + 1}]"] = np.full(ROWS + 1, float(f"{tau_load:.3g}"))
     return Stimuli(step=SUBSTEP, inputs={**waves(amplitudes), **loads})
