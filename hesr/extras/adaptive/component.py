@@ -127,14 +127,27 @@ def adaptive_component(
     passivity certificate of the ripple.
     """
     joint_parameters = build_joint_parameters(tuning, noise, speed)
-    sigma = larger(joint_parameters[0].symbol, _MIN_NOISE)
-    warm = warmth(previous(TORQUE)) if thermal else None
-    law_parts = split_torque(law, previous("level"), warm.coulomb if warm else sympy.S.One)
-    viscous = law_parts.viscous
+    noise_parameter, slowest_speed, torque_limit, *_ = joint_parameters
+    sigma = larger(noise_parameter.symbol, _MIN_NOISE)
+    base_component = law.form.component
+    inputs = [*base_component.inputs, *INPUTS]
+    parameters = [*base_component.parameters, *joint_parameters]
     viscosity = previous("viscosity")
-    if warm:  # the factor after temperature still covers the ripple
-        viscous *= warm.viscous
+    if thermal:
+        warm = warmth(previous(TORQUE))
+        law_parts = split_torque(law, previous("level"), warm.coulomb)
+        memory = (warm.memory, *law_parts.memory)
+        viscous = law_parts.viscous * warm.viscous
+        # The factor after temperature still covers the ripple.
         viscosity = larger(viscosity * warm.viscous, min_viscosity)
+        torque_start = sympy.S.Zero
+        inputs.append(TEMPERATURE)
+        parameters += thermal_parameters(thermal)
+    else:
+        law_parts = split_torque(law, previous("level"), sympy.S.One)
+        memory = law_parts.memory
+        viscous = law_parts.viscous
+        torque_start = None
     limits = {
         "level": tuning.level,
         "viscosity": (max(tuning.viscosity[0], min_viscosity), tuning.viscosity[1]),
@@ -142,47 +155,36 @@ def adaptive_component(
     deviations = (tuning.level_sd, tuning.viscosity_sd, tuning.offset_sd * sigma)
     torque = law_parts.hysteresis + viscosity * law_parts.viscous + law_parts.unscaled
     torque += previous("offset")
-    torque_start = sympy.S.Zero if warm else None
-    is_moving = exceeds(absolute(DQ), joint_parameters[1].symbol)
-    is_saturated = exceeds(absolute(MEASURED.symbol), joint_parameters[2].symbol) * exceeds(
-        joint_parameters[2].symbol, 0
-    )
+    is_moving = exceeds(absolute(DQ), slowest_speed.symbol)
+    has_torque_limit = exceeds(torque_limit.symbol, 0)
+    is_saturated = exceeds(absolute(MEASURED.symbol), torque_limit.symbol) * has_torque_limit
+    # NaN counts as 0; large values are clipped to the usual tail of the noise.
+    largest_innovation = tuning.clipped * _expected_deviation(sigma)
+    innovation = clip(_replace_nan(_make_symbol("raw")), largest_innovation)
+    largest_slope = _MAX_REGRESSOR * sigma
+    level_slope = is_moving * clip(_replace_nan(law_parts.level_slope), largest_slope)
+    viscous_slope = is_moving * clip(_replace_nan(viscous), largest_slope)
     alarms, sums = _build_alarms(tuning, sigma)
-    base_component = law.form.component
+    equations = (
+        _output_equation(TORQUE, "N.m", "friction {effort} of {joint}", torque, torque_start),
+        *_build_factors(tuning, sigma, joint_parameters, limits),
+        *alarms,
+        _build_health(limits, is_moving, is_saturated),
+        *law_parts.sensitivities,
+        _hidden_equation("raw", MEASURED.symbol - RIGID.symbol - _make_symbol(TORQUE)),
+        _hidden_equation("innovation", innovation),
+        _hidden_equation("phi_level", level_slope),
+        _hidden_equation("phi_viscosity", viscous_slope),
+        *_build_gains(tuning, sigma, is_moving, is_saturated),
+        *_build_covariance(deviations),
+        *sums,
+    )
     return replace(
         base_component,
-        inputs=(*base_component.inputs, *INPUTS, *((TEMPERATURE,) if warm else ())),
-        parameters=(
-            *base_component.parameters,
-            *joint_parameters,
-            *(thermal_parameters(thermal) if thermal else ()),
-        ),
-        memory=(*((warm.memory,) if warm else ()), *law_parts.memory),
-        equations=(
-            _output_equation(TORQUE, "N.m", "friction {effort} of {joint}", torque, torque_start),
-            *_build_factors(tuning, sigma, joint_parameters, limits),
-            *alarms,
-            _build_health(limits, is_moving, is_saturated),
-            *law_parts.sensitivities,
-            _hidden_equation("raw", MEASURED.symbol - RIGID.symbol - _make_symbol(TORQUE)),
-            # NaN counts as 0; large values are clipped to the usual tail of the noise.
-            _hidden_equation(
-                "innovation",
-                clip(
-                    _replace_nan(_make_symbol("raw")), tuning.clipped * _expected_deviation(sigma)
-                ),
-            ),
-            *(
-                _hidden_equation(
-                    f"phi_{name}",
-                    is_moving * clip(_replace_nan(expression), _MAX_REGRESSOR * sigma),
-                )
-                for name, expression in (("level", law_parts.level_slope), ("viscosity", viscous))
-            ),
-            *_build_gains(tuning, sigma, is_moving, is_saturated),
-            *_build_covariance(deviations),
-            *sums,
-        ),
+        inputs=tuple(inputs),
+        parameters=tuple(parameters),
+        memory=memory,
+        equations=equations,
     )
 
 
@@ -222,25 +224,17 @@ def _build_factors(
 
     steps = [g * _make_symbol("gain") * _make_symbol("innovation") for g in _G]
     steps[2] = clip(steps[2], tuning.offset_rate * sigma * DT)
-    factors = [
-        _output_equation(
-            name,
-            unit,
-            text,
-            limit_factor(name, previous(name) + step),
-            limit_factor(name, start_parameter.symbol),
-        )
-        for (name, unit, text), step, start_parameter in zip(
-            _FACTORS, steps, joint_parameters[3:], strict=True
-        )
-    ]
+    start_parameters = joint_parameters[3:]
+    factors = []
+    for i, (name, unit, text) in enumerate(_FACTORS):
+        factor = limit_factor(name, previous(name) + steps[i])
+        start = limit_factor(name, start_parameters[i].symbol)
+        factors.append(_output_equation(name, unit, text, factor, start))
     for i, (name, unit, _) in enumerate(_FACTORS):
         text = f"standard deviation of {name}[{{number}}]"
-        factors.append(
-            _output_equation(
-                f"{name}_sd", unit, text, sympy.sqrt(positive(_make_symbol(_covariance_name(i, i))))
-            )
-        )
+        # The variance may be below 0 by round-off.
+        deviation = sympy.sqrt(positive(_make_symbol(_covariance_name(i, i))))
+        factors.append(_output_equation(f"{name}_sd", unit, text, deviation))
     return factors
 
 
@@ -254,23 +248,23 @@ def _build_alarms(tuning: Tuning, sigma: sympy.Expr) -> tuple[list[Equation], li
     alarms = []
     sums = []
     for name, sum_prefix, regressor, change in rows:
-        rises, falls = (
-            exceeds(_make_symbol(f"{sum_prefix}_{direction}"), tuning.alarm)
-            for direction in ("up", "down")
-        )
+        rising = f"{sum_prefix}_up"
+        falling = f"{sum_prefix}_down"
+        has_risen = exceeds(_make_symbol(rising), tuning.alarm)
+        has_fallen = exceeds(_make_symbol(falling), tuning.alarm)
         text, values = _ALARMS[name]
         alarm = Equation(
-            name=name, description=text, output=True, expression=rises - falls, values=values
+            name=name,
+            description=text,
+            output=True,
+            expression=has_risen - has_fallen,
+            values=values,
         )
         alarms.append(alarm)
-        for sum_name, signed_change in (
-            (f"{sum_prefix}_up", change),
-            (f"{sum_prefix}_down", -change),
-        ):
-            gain = (
-                signed_change * regressor * weight * error
-                - (signed_change * regressor) ** 2 * weight / 2
-            )
+        for sum_name, signed_change in ((rising, change), (falling, -change)):
+            step = signed_change * regressor
+            gain = step * weight * error - step**2 * weight / 2
+            # The sum is limited, so that an alarm can end.
             total = _minimum(positive(previous(sum_name) + gain), 1.5 * tuning.alarm)
             sums.append(_hidden_equation(sum_name, total, sympy.S.Zero))
     return alarms, sums
@@ -308,21 +302,23 @@ def _expected_deviation(sigma: sympy.Expr) -> sympy.Expr:
 def _build_gains(
     tuning: Tuning, sigma: sympy.Expr, is_moving: sympy.Expr, is_saturated: sympy.Expr
 ) -> tuple[Equation, ...]:
-    spread, learns, settled, weight, gain = map(
-        _make_symbol, ("spread", "learns", "settled", "weight", "gain")
-    )
+    """Return g = P phi, s = phi' g, and the weights of the update and of forgetting."""
+    spread = _make_symbol("spread")
+    learns = _make_symbol("learns")
+    settled = _make_symbol("settled")
+    weight = _make_symbol("weight")
+    gain = _make_symbol("gain")
     hold = tuning.hold
     is_observing = exceeds(ADAPT.symbol, 0.5) * is_moving * (1 - is_saturated)
     fits = exceeds(tuning.outlier * _expected_deviation(sigma), absolute(_make_symbol("raw")))
     density = 2 * tuning.correlation_time * sigma**2
     forgets = learns * DT / ((tuning.forgetting_time + DT) * (spread + _DIVISION_GUARD))
+    gains = []
+    for i, g in enumerate(_G):
+        row = [previous(_covariance_name(i, j)) * _PHI[j] for j in _FACTOR_INDICES]
+        gains.append(_hidden_equation(g.name, sum(row)))
     return (
-        *(
-            _hidden_equation(
-                g.name, sum(previous(_covariance_name(i, j)) * _PHI[j] for j in _FACTOR_INDICES)
-            )
-            for i, g in enumerate(_G)
-        ),
+        *gains,
         _hidden_equation("spread", positive(sum(x * g for x, g in zip(_PHI, _G, strict=True)))),
         _hidden_equation("calm", fits * _minimum(previous("calm") + DT, hold), sympy.Float(hold)),
         _hidden_equation("settled", 1 - exceeds(hold, _make_symbol("calm"))),
@@ -334,36 +330,29 @@ def _build_gains(
 
 
 def _build_covariance(deviations: tuple[sympy.Expr, ...]) -> list[Equation]:
+    """Return P after a sample, with deviations of at most the initial ones."""
     factors = [_make_symbol(f"cut_{i}") for i in _FACTOR_INDICES]
-    updated = {
-        (i, j): previous(_covariance_name(i, j)) - _G[i] * _G[j] * _make_symbol("net")
-        for i in _FACTOR_INDICES
-        for j in _FACTOR_INDICES[i:]
-    }
-    equations = [
-        _hidden_equation(
-            factor.name, deviation / larger(deviation, sympy.sqrt(positive(updated[i, i])))
-        )
-        for i, (factor, deviation) in enumerate(zip(factors, deviations, strict=True))
-    ]
-    for (i, j), expression in updated.items():
+    updated = {}
+    for i in _FACTOR_INDICES:
+        for j in _FACTOR_INDICES[i:]:
+            removed = _G[i] * _G[j] * _make_symbol("net")
+            updated[i, j] = previous(_covariance_name(i, j)) - removed
+    equations = []
+    for i, deviation in enumerate(deviations):
+        updated_deviation = sympy.sqrt(positive(updated[i, i]))
+        cut = deviation / larger(deviation, updated_deviation)
+        equations.append(_hidden_equation(factors[i].name, cut))
+    remaining_correlation = 1 - _CORRELATION_LOSS * _make_symbol("learns")
+    for (i, j), covariance in updated.items():
+        # Rows and columns are cut alike: correlations stay.
+        cut_covariance = covariance * factors[i] * factors[j]
+        start = sympy.S.Zero
         if i == j:
-            variance = larger(expression * factors[i] ** 2, (1e-6 * deviations[i]) ** 2)
-            equations.append(
-                _hidden_equation(
-                    _covariance_name(i, j), variance, sympy.S.Zero + deviations[i] ** 2
-                )
-            )
+            cut_covariance = larger(cut_covariance, (1e-6 * deviations[i]) ** 2)
+            start += deviations[i] ** 2
         else:
-            cross_covariance = (
-                expression
-                * factors[i]
-                * factors[j]
-                * (1 - _CORRELATION_LOSS * _make_symbol("learns"))
-            )
-            equations.append(
-                _hidden_equation(_covariance_name(i, j), cross_covariance, sympy.S.Zero)
-            )
+            cut_covariance *= remaining_correlation
+        equations.append(_hidden_equation(_covariance_name(i, j), cut_covariance, start))
     return equations
 
 

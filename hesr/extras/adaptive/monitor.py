@@ -1,6 +1,7 @@
 """Adaptive friction FMUs, and friction over days of logs: factors, alarms, likely causes."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -51,7 +52,9 @@ def adaptive_content(model: FrictionModel, *, bare: bool = False) -> Content:
     content = build_bare_content(model, about, *equations)
     if bare:
         return content
-    lines = (*(THERMAL_LINES if model.thermal else ()), *adaptive_lines(TUNING))
+    lines = adaptive_lines(TUNING)
+    if model.thermal:
+        lines = (*THERMAL_LINES, *lines)
     return add_documentation(content, model, lines, ADAPTIVE_NOTES)
 
 
@@ -75,18 +78,18 @@ def adaptive_components(model: FrictionModel, tuning: Tuning = TUNING) -> tuple[
             f"friction model '{model.law}': training ranges and errors are missing; fit it again."
         )
     thermal_models = model.thermal or (None,) * len(model.laws)
-    rows = zip(model.laws, model.training_rmse, model.trained, thermal_models, strict=True)
-    return tuple(
-        adaptive_component(
+    components = []
+    for j, law in enumerate(model.laws):
+        joint_component = adaptive_component(
             law,
             tuning,
-            noise=noise,
-            speed=trained_range.speed,
+            noise=model.training_rmse[j],
+            speed=model.trained[j].speed,
             min_viscosity=find_min_viscous_scale(law),
-            thermal=thermal,
+            thermal=thermal_models[j],
         )
-        for law, noise, trained_range, thermal in rows
-    )
+        components.append(joint_component)
+    return tuple(components)
 
 
 class Follower:
@@ -97,15 +100,14 @@ class Follower:
         self._tuning = tuning
         components = adaptive_components(model, tuning)
         self._steps = [Steps(component) for component in components]
-        self._values = [
-            dict(law.values)
-            | {
-                quantity.name: quantity.start
-                for quantity in component.parameters
-                if isinstance(quantity, Parameter)
+        self._values = []  # of coefficients and parameters, by joint
+        for law, component in zip(model.laws, components, strict=True):
+            starts = {
+                parameter.name: parameter.start
+                for parameter in component.parameters
+                if isinstance(parameter, Parameter)
             }
-            for law, component in zip(model.laws, components, strict=True)
-        ]
+            self._values.append(dict(law.values) | starts)
 
     def follow(
         self, log_records: Sequence[FrictionRecord], *, adapt: bool = True
@@ -160,7 +162,9 @@ class Alarm:
     @property
     def change(self) -> str:
         """Direction of the change: "more" or "less"."""
-        return "more" if self.sign > 0 else "less"
+        if self.sign > 0:
+            return "more"
+        return "less"
 
     @property
     def points_to(self) -> str:
@@ -207,63 +211,69 @@ def watch(model: FrictionModel, records: Sequence[Sequence[FrictionRecord]]) -> 
     """Follow friction over records [log][joint] in order of time."""
     follower = Follower(model, TUNING)
     followed = tuple(tuple(follower.follow(log_records)) for log_records in records)
-    return FollowedLogs(
-        model=model,
-        followed=followed,
-        states=tuple(
-            _summarise_joint(estimates) for log_estimates in followed for estimates in log_estimates
-        ),
-        alarms=tuple(alarm for log_estimates in followed for alarm in _find_alarms(log_estimates)),
-    )
+    states: list[State] = []
+    alarms: list[Alarm] = []
+    for log_estimates in followed:
+        states += [_summarise_joint(estimates) for estimates in log_estimates]
+        alarms += _find_alarms(log_estimates)
+    return FollowedLogs(model=model, followed=followed, states=tuple(states), alarms=tuple(alarms))
 
 
 def _summarise_joint(estimates: JointEstimates) -> State:
-    last_outputs = {name: float(column[-1]) for name, column in estimates.outputs.items()}
-    is_finite = np.isfinite(estimates.record.tau)
+    """Return the state of a joint at the end of a log."""
+    record = estimates.record
+    outputs = estimates.outputs
+    last_estimates = {name: float(outputs[name][-1]) for name in _ESTIMATES}
+    is_finite = np.isfinite(record.tau)
     return State(
-        log=estimates.record.log,
-        joint=estimates.record.joint,
-        **{name: last_outputs[name] for name in _ESTIMATES},
-        learning=float(np.mean(estimates.outputs["health"] == 0.0)),
-        rmse_fixed=rmse((estimates.tau_fixed - estimates.record.tau)[is_finite]),
-        rmse=rmse((estimates.outputs["tau"] - estimates.record.tau)[is_finite]),
+        log=record.log,
+        joint=record.joint,
+        **last_estimates,
+        learning=float(np.mean(outputs["health"] == 0.0)),
+        rmse_fixed=rmse((estimates.tau_fixed - record.tau)[is_finite]),
+        rmse=rmse((outputs["tau"] - record.tau)[is_finite]),
     )
 
 
-def _find_alarms(log_estimates: Sequence[JointEstimates]) -> Iterator[Alarm]:
-    alarms = [
+def _find_alarms(log_estimates: Sequence[JointEstimates]) -> list[Alarm]:
+    """Return the alarms of all joints in a log in order of time; most joints share some drifts."""
+    alarms: list[Alarm] = []
+    for estimates in log_estimates:
+        for kind in ("drift", "shift"):
+            alarms += _find_rises(estimates, kind)
+    alarms.sort(key=lambda alarm: alarm.time)
+    drifts = [(alarm.joint, alarm.sign) for alarm in alarms if alarm.kind == "drift"]
+    shared_signs = find_shared_signs(drifts, len(log_estimates))
+    named_alarms = []
+    for alarm in alarms:
+        is_shared = alarm.kind == "drift" and alarm.sign in shared_signs
+        if is_shared:
+            named_alarms.append(replace(alarm, kind="shared drift"))
+        else:
+            named_alarms.append(alarm)
+    return named_alarms
+
+
+def _find_rises(estimates: JointEstimates, kind: str) -> list[Alarm]:
+    """Return the alarms of a kind of a joint where they begin or change their sign."""
+    record = estimates.record
+    signs = estimates.outputs[kind]
+    is_new = (signs != 0.0) & (np.diff(signs, prepend=0.0) != 0.0)
+    return [
         Alarm(
             log=record.log,
             joint=record.joint,
             time=float(record.t[row]),
             kind=kind,
-            sign=int(alarm[row]),
+            sign=int(signs[row]),
         )
-        for estimates in log_estimates
-        for record in [estimates.record]
-        for kind in ("drift", "shift")
-        for alarm in [estimates.outputs[kind]]
-        for row in np.flatnonzero((alarm != 0.0) & (np.diff(alarm, prepend=0.0) != 0.0))
+        for row in np.flatnonzero(is_new)
     ]
-    shared_drift_signs = find_shared_signs(
-        ((alarm.joint, alarm.sign) for alarm in alarms if alarm.kind == "drift"),
-        len(log_estimates),
-    )
-    for alarm in sorted(alarms, key=lambda alarm: alarm.time):
-        kind = (
-            "shared drift"
-            if alarm.kind == "drift" and alarm.sign in shared_drift_signs
-            else alarm.kind
-        )
-        yield replace(alarm, kind=kind)
 
 
 def find_shared_signs(drifts: Iterable[tuple[str, int]], joint_count: int) -> list[int]:
     """Return the signs of drifts (joint, sign) that most joints share."""
-    joint_signs = set(drifts)
+    # A joint that drifts repeatedly counts once for each sign.
+    counts = Counter(sign for _, sign in set(drifts))
     threshold = max(1.0, _MIN_SHARED_SHARE * joint_count)
-    return [
-        sign
-        for sign in (1, -1)
-        if sum(drift_sign == sign for _, drift_sign in joint_signs) > threshold
-    ]
+    return [sign for sign in (1, -1) if counts[sign] > threshold]

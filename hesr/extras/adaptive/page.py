@@ -113,7 +113,10 @@ def draw_trends(followed_logs: FollowedLogs) -> list[ResultFigure]:
                 [estimates.outputs[f"{name}_sd"] for estimates in joint_estimates]
             )
             lines = _trend_lines(t, values, 2.0 * deviation)
-            panels.append(Panel(title=title, y="", lines=lines, marks=() if panels else marks))
+            panel_marks: tuple[tuple[float, str], ...] = ()
+            if not panels:  # the names of the logs stand above all panels
+                panel_marks = marks
+            panels.append(Panel(title=title, y="", lines=lines, marks=panel_marks))
         rows = tuple((panel,) for panel in panels)
         chart = Chart(x="t [s] over all logs", rows=rows, height=1.2)
         figures.append(

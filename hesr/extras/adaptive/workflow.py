@@ -118,7 +118,9 @@ def monitor(
     accepted = list_names("accept", accept)
     require_items("logs", sources)
     first_source = sources[0]
-    job = find_job(first_source, "monitor") if isinstance(first_source, Path) else None
+    job = None
+    if isinstance(first_source, Path):
+        job = find_job(first_source, "monitor")
     if job is not None:
         if len(sources) > 1 or law or robot or rigid_body or accepted:
             raise ArgumentError(f"{first_source}: a fleet file names its own logs; give it alone.")
