@@ -25,20 +25,25 @@ def _estimate_external(
 ) -> tuple[Array, Array, Array]:
     """Return time, unexplained torques behind the observer's low pass, and thresholds, (N, n)."""
     t = trace["t"].astype(float)
-    numbers = range(1, len(model.joints) + 1)
-    names = ("tau", "q", "dq", "tau_rb")
-    tau, q, dq, tau_load = (
-        np.stack([trace[f"{column}{number}"] for number in numbers], axis=1) for column in names
-    )
+    joint_count = len(model.joints)
+    tau = _stack_joints(trace, "tau", joint_count)
+    q = _stack_joints(trace, "q", joint_count)
+    dq = _stack_joints(trace, "dq", joint_count)
+    tau_load = _stack_joints(trace, "tau_rb", joint_count)
     unexplained = tau_load + model.predict(t=t, dq=dq, q=q, tau_load=tau_load) - tau
+    numbers_by_joint = zip(*limits.numbers, strict=True)
     squares = []
-    for j, (floor_size, slow_size, speed, *other_sizes) in enumerate(
-        zip(*limits.numbers, strict=True)
-    ):
+    for j, (floor_size, slow_size, speed, *other_sizes) in enumerate(numbers_by_joint):
         sizes = np.array([floor_size, slow_size, *other_sizes])
-        squares.append(np.stack(shapes(dq[:, j], tau_load[:, j], speed), axis=1) @ sizes**2)
+        joint_shapes = np.stack(shapes(dq[:, j], tau_load[:, j], speed), axis=1)
+        squares.append(joint_shapes @ sizes**2)
     half_widths = np.sqrt(low_pass_signals(t, np.stack(squares, axis=1), BANDWIDTH))
     return t, low_pass_signals(t, unexplained, BANDWIDTH), limits.factor * half_widths
+
+
+def _stack_joints(trace: dict[str, Array], column: str, joint_count: int) -> Array:
+    """Return the columns (N, n) of all joints, which are numbered from 1."""
+    return np.stack([trace[f"{column}{j + 1}"] for j in range(joint_count)], axis=1)
 
 
 def find_events(t: Array, external: Array, threshold: Array) -> list[tuple[int, int, int, int]]:
@@ -50,14 +55,12 @@ def find_events(t: Array, external: Array, threshold: Array) -> list[tuple[int, 
     excess = np.abs(external) / threshold
     for j, relative_excess in enumerate(excess.T):
         exceeding_rows = np.flatnonzero(relative_excess > 1.0)
-        groups = np.split(
-            exceeding_rows, np.flatnonzero(np.diff(t[exceeding_rows]) > _MAX_PAUSE) + 1
-        )
-        events += [
-            (rows[0], rows[-1], j, rows[np.argmax(relative_excess[rows])])
-            for rows in groups
-            if len(rows)
-        ]
+        if not len(exceeding_rows):
+            continue
+        pauses = np.flatnonzero(np.diff(t[exceeding_rows]) > _MAX_PAUSE)
+        for rows in np.split(exceeding_rows, pauses + 1):
+            peak = rows[np.argmax(relative_excess[rows])]
+            events.append((rows[0], rows[-1], j, peak))
     return sorted(events)
 
 
@@ -74,9 +77,18 @@ def external_torque(results: Results) -> dict[str, Any] | None:
     for log in filter(lambda log: log.trace, results.run.logs):
         t, external, threshold = _estimate_external(results.torques(log), model, limits)
         for first, last, j, peak in find_events(t, external, threshold):
-            values = (t[first], t[last] - t[first], external[peak, j], threshold[peak, j])
-            rows.append(make_row(log.name, results.joints[j], *(number(x, 3) for x in values)))
-            relative_excess = abs(values[2]) / values[3]
+            peak_torque = external[peak, j]
+            peak_threshold = threshold[peak, j]
+            row = make_row(
+                log.name,
+                results.joints[j],
+                number(t[first], 3),
+                number(t[last] - t[first], 3),
+                number(peak_torque, 3),
+                number(peak_threshold, 3),
+            )
+            rows.append(row)
+            relative_excess = abs(peak_torque) / peak_threshold
             if relative_excess > largest_excess:
                 largest_excess = relative_excess
                 worst_log = (log.name, t, external, threshold)
@@ -99,20 +111,19 @@ def external_torque(results: Results) -> dict[str, Any] | None:
 
 
 def _build_chart(results: Results, t: Array, external: Array, threshold: Array) -> Chart:
+    """Draw the external torque of each joint between its thresholds, (N, n) [N.m]."""
+    curve = Stroke(colour=INK)
     edge = Stroke(colour=SERIES[1], dash=(4.0, 2.0))
-    lines = [("external", external, Stroke(colour=INK))]
-    lines += [("threshold", sign * threshold, edge) for sign in (1.0, -1.0)]
-    panels = [
-        Panel(
-            title=f"{short_name}: {name}",
-            y=f"torque [{results.unit('N.m', number - 1)}]",
-            lines=tuple(
-                Line(name=label, x=t, y=y[:, number - 1], stroke=stroke)
-                for label, y, stroke in lines
-            ),
+    panels = []
+    for joint_number, short_name, name in results.numbered:
+        j = joint_number - 1
+        lines = (
+            Line(name="external", x=t, y=external[:, j], stroke=curve),
+            Line(name="threshold", x=t, y=threshold[:, j], stroke=edge),
+            Line(name="threshold", x=t, y=-threshold[:, j], stroke=edge),
         )
-        for number, short_name, name in results.numbered
-    ]
+        title = f"{short_name}: {name}"
+        panels.append(Panel(title=title, y=f"torque [{results.unit('N.m', j)}]", lines=lines))
     return Chart(x="t [s]", rows=tuple((panel,) for panel in panels), height=1.35)
 
 

@@ -6,13 +6,14 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from cosim.study.results import RUN, SavedRun
 from cosim.workflow import arguments
 from fmu_src.export import package
+from fmu_src.export.interface import ArrayVariable
 from fmu_src.export.toolchain import HOST
 from fmu_src.friction.validity import require_exportable
 from fmu_src.pages.html import code_templates
@@ -37,7 +38,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log, collect_parts
 from hesr_model.logs.signals import measured_velocity
 from hesr_model.robots.robot import Robot
-from hesr_model.support.arrays import Array, Mask
+from hesr_model.support.arrays import Array, Integers, Mask
 from hesr_model.support.files import scratch_folder, sha256, written_whole
 from hesr_model.support.progress import Progress, silent
 
@@ -94,12 +95,13 @@ def build_header(fmu_content: package.Content, name: str) -> str:
     outputs = [
         (array.name, len(array.elements), array.place) for array in list_outputs(fmu_content.table)
     ]
-    observer_text = inline_includes("observer.c")
-    return str(
-        template.render(
-            name=name, text=fmu_content.about.text, observer=observer_text, outputs=outputs
-        )
+    header = template.render(
+        name=name,
+        text=fmu_content.about.text,
+        observer=inline_includes("observer.c"),
+        outputs=outputs,
     )
+    return str(header)
 
 
 _INITIAL_DURATION = 0.1  # [s] whose mean speed is that of the first sample, if none is logged
@@ -108,6 +110,7 @@ _TAIL_SHARE = 0.2  # share of the largest maxima that determine their tail
 _MAX_SHARE_ROWS = 20_000  # rows for the shares; quantiles use all
 _MIN_BLOCK_COUNT = 60
 _REST_COLUMN = 2  # column of rest in `band.shapes`
+_VARIANCE_FLOOR = 1e-30  # [N^2.m^2] keeps the logarithm and the quotient of no error finite
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -136,18 +139,19 @@ def observe_logs(
     """Run the observer over parts of logs, with logged speeds or else those behind the low pass."""
     bare_content = content(model, plant_body, limits, bandwidth=bandwidth, bare=True)
     arrays = list_outputs(bare_content.table)
-    observed_logs = []
     input_names = [
         variable.name for variable in bare_content.table.variables if variable.role == "input"
     ]
+    output_names: list[str] = []
+    for array in arrays:
+        output_names += [variable.name for variable in array.elements]
+    observed_logs = []
     with (
         scratch_folder() as folder,
         FmuInstance(package.write_fmu(bare_content, folder / "observer.fmu")) as instance,
     ):
         inputs = instance.buffer(input_names)
-        outputs = instance.buffer(
-            [variable.name for array in arrays for variable in array.elements]
-        )
+        outputs = instance.buffer(output_names)
         for part in collect_parts(logs):
             dq = _find_speed(part, plant_body)
             input_rows = np.hstack([part.q, dq, part.tau])
@@ -163,18 +167,21 @@ def observe_logs(
             later_outputs = step_rows(
                 instance, inputs, outputs, part.t[:-1], np.diff(part.t), input_rows[1:]
             )
-            output_ends = np.cumsum([len(array.elements) for array in arrays])[:-1]
-            output_columns = np.split(
-                np.vstack([first_outputs, later_outputs]), output_ends, axis=1
+            output_rows = np.vstack([first_outputs, later_outputs])
+            observed_log = ObservedLog(
+                name=part.name, t=part.t, dq=dq, outputs=_split_outputs(arrays, output_rows)
             )
-            outputs_by_name = {
-                array.name: values.reshape(-1, *array.shape)
-                for array, values in zip(arrays, output_columns, strict=True)
-            }
-            observed_logs.append(
-                ObservedLog(name=part.name, t=part.t, dq=dq, outputs=outputs_by_name)
-            )
+            observed_logs.append(observed_log)
     return observed_logs
+
+
+def _split_outputs(arrays: Sequence[ArrayVariable], rows: Array) -> dict[str, Array]:
+    """Return the columns of rows (N, ..) as arrays by name, one for each output."""
+    ends = np.cumsum([len(array.elements) for array in arrays])[:-1]
+    outputs = {}
+    for array, values in zip(arrays, np.split(rows, ends, axis=1), strict=True):
+        outputs[array.name] = values.reshape(-1, *array.shape)
+    return outputs
 
 
 def _find_speed(log: Log, plant_body: PlantBody) -> Array:
@@ -201,33 +208,45 @@ def compute_limits(
     """
     if not calibration:
         return law_limits(model)
-    joint_indices = range(plant_body.robot.n)
+    joint_count = plant_body.robot.n
     logs = read_calibration_logs(calibration, plant_body.robot)
-    no_limits = ObserverLimits(numbers=((0.0,) * len(joint_indices),) * len(NAMES), factor=1.0)
+    no_limits = ObserverLimits(numbers=((0.0,) * joint_count,) * len(NAMES), factor=1.0)
     runs = observe_logs(model, plant_body, no_limits, logs, bandwidth)
-    blocks = [
-        (run_index, second)
-        for run_index, run in enumerate(runs)
-        for second in run.t // _BLOCK_DURATION
-    ]
-    _, starts = np.unique(blocks, axis=0, return_index=True)
+    starts = _find_block_starts(runs)
     if len(starts) < _MIN_BLOCK_COUNT:
         raise LogError(
             f"'calibration': the logs without contact last {len(starts) * _BLOCK_DURATION:g} s; "
             f"at least {_MIN_BLOCK_COUNT * _BLOCK_DURATION:g} s are needed."
         )
-    joint_limits = [_calibrate_joint(runs, j, bandwidth) for j in joint_indices]
-    largest_errors = np.max([errors for _, errors in joint_limits], axis=0)
-    maxima = np.sort(np.maximum.reduceat(largest_errors, starts))
-    tail = maxima[-max(10, int(_TAIL_SHARE * len(maxima))) :]
-    tail_scale = np.mean(tail - tail[0]) * (1.0 + 1.0 / np.sqrt(len(tail)))
-    tail_blocks_per_hour = len(tail) / len(maxima) * HOUR / _BLOCK_DURATION
+    joint_bands = [_calibrate_joint(runs, j, bandwidth) for j in range(joint_count)]
+    largest_errors = np.max([band.relative_errors for band in joint_bands], axis=0)
+    maxima = np.maximum.reduceat(largest_errors, starts)
+    numbers_by_joint = [band.numbers for band in joint_bands]
     return ObserverLimits(
-        numbers=tuple(zip(*(numbers for numbers, _ in joint_limits), strict=True)),
-        factor=float(tail[0] + tail_scale * np.log(tail_blocks_per_hour)),
+        numbers=tuple(zip(*numbers_by_joint, strict=True)),
+        factor=_find_hourly_maximum(maxima),
         duration=float(sum(np.ptp(run.t) for run in runs)),
         logs=tuple(log.name for log in logs),
     )
+
+
+def _find_block_starts(runs: Sequence[ObservedLog]) -> Integers:
+    """Return the first row of each second of all runs, one after another."""
+    blocks = []
+    for run_index, run in enumerate(runs):
+        blocks += [(run_index, second) for second in run.t // _BLOCK_DURATION]
+    _, starts = np.unique(blocks, axis=0, return_index=True)
+    return np.asarray(starts)
+
+
+def _find_hourly_maximum(maxima: Array) -> float:
+    """Return what maxima of blocks exceed once an hour, if their tail is exponential."""
+    largest_maxima = np.sort(maxima)
+    tail = largest_maxima[-max(10, int(_TAIL_SHARE * len(maxima))) :]
+    # One standard error above the mean excess, the estimate of an exponential's scale.
+    tail_scale = np.mean(tail - tail[0]) * (1.0 + 1.0 / np.sqrt(len(tail)))
+    tail_blocks_per_hour = len(tail) / len(maxima) * HOUR / _BLOCK_DURATION
+    return float(tail[0] + tail_scale * np.log(tail_blocks_per_hour))
 
 
 def read_calibration_logs(sources: Sequence[LogSource], robot: Robot) -> list[Log]:
@@ -249,19 +268,12 @@ def _find_unfitted_logs(folder: Path) -> list[Path]:
     trained_hashes = {
         log.sha256 for log in run.logs if {"identification", "training"} & {*log.roles}
     }
-    study_folder = next(
-        (Path(word).parent for word in run.command.split() if word.endswith(".toml")), Path()
-    )
-    ancestors = [
-        ancestor / subfolder
-        for ancestor in folder.resolve().parents
-        for subfolder in (study_folder, Path())
-    ]
+    search_folders = _list_log_folders(folder, run.command)
     files_by_hash: dict[str, Path] = {}
     for log in run.logs:
         if log.sha256 in trained_hashes:
             continue
-        candidates = [ancestor / log.file for ancestor in (folder / "logs", *ancestors)]
+        candidates = [search_folder / log.file for search_folder in search_folders]
         matches = (file for file in candidates if file.exists() and sha256(file) == log.sha256)
         file = next(matches, None)
         if file is None:
@@ -275,12 +287,30 @@ def _find_unfitted_logs(folder: Path) -> list[Path]:
     return list(files_by_hash.values())
 
 
-def _calibrate_joint(
-    runs: Sequence[ObservedLog], j: int, bandwidth: float
-) -> tuple[tuple[float, ...], Array]:
-    """Return a joint's numbers, and its errors over the half-width."""
+def _list_log_folders(folder: Path, command: str) -> list[Path]:
+    """Return the folders that the paths of a run's logs may start from, in order of preference.
+
+    These are its own logs, and in each folder above the results first that of the study file.
+    """
+    study_files = (Path(word) for word in command.split() if word.endswith(".toml"))
+    study_folder = next(study_files, Path()).parent
+    log_folders = [folder / "logs"]
+    for ancestor in folder.resolve().parents:
+        log_folders.append(ancestor / study_folder)
+        log_folders.append(ancestor)
+    return log_folders
+
+
+class _JointBand(NamedTuple):
+    numbers: tuple[float, ...]  # of the half-width, in the order of `NAMES`
+    relative_errors: Array  # absolute errors (N,) over the half-width
+
+
+def _calibrate_joint(runs: Sequence[ObservedLog], j: int, bandwidth: float) -> _JointBand:
+    """Return a joint's half-width whose slow speed makes the errors most likely."""
     errors = np.concatenate([run.outputs["tau_ext"][:, j] for run in runs])
-    best_fit: tuple[float, tuple[float, ...], Array] = (np.inf, (0.0,) * len(NAMES), errors)
+    smallest_loss = np.inf
+    best_band = _JointBand((0.0,) * len(NAMES), errors)
     thinning = slice(None, None, -(-len(errors) // _MAX_SHARE_ROWS))
     for speed in SLOW_SPEEDS:
         run_columns = []
@@ -291,17 +321,15 @@ def _calibrate_joint(
         shares = fit_variance_shares(
             columns[thinning], errors[thinning] ** 2, np.zeros_like(errors[thinning])
         )
-        variance = columns @ shares + 1e-30
+        variance = columns @ shares + _VARIANCE_FLOOR
         loss = float(np.mean(np.log(variance) + errors**2 / variance))
-        if loss < best_fit[0]:
-            shares, squares = _scale_band(columns, shares, errors**2)
-            floor_size, slow_size, *other_sizes = np.sqrt(shares).tolist()
-            best_fit = (
-                loss,
-                (floor_size, slow_size, speed, *other_sizes),
-                np.sqrt(errors**2 / squares),
-            )
-    return best_fit[1], best_fit[2]
+        if loss < smallest_loss:
+            smallest_loss = loss
+            scaled_shares, squares = _scale_band(columns, shares, errors**2)
+            floor_size, slow_size, *other_sizes = np.sqrt(scaled_shares).tolist()
+            numbers = (floor_size, slow_size, speed, *other_sizes)
+            best_band = _JointBand(numbers, np.sqrt(errors**2 / squares))
+    return best_band
 
 
 def _scale_band(columns: Array, shares: Array, squares: Array) -> tuple[Array, Array]:
@@ -312,16 +340,15 @@ def _scale_band(columns: Array, shares: Array, squares: Array) -> tuple[Array, A
     # One scale for both would contain more than 95 % at rest and less in motion.
     is_moving = columns[:, _REST_COLUMN] < 0.5
     is_moving |= not is_moving.any()
-    variance = columns @ shares + 1e-30
+    variance = columns @ shares + _VARIANCE_FLOOR
     scaled_shares = shares * float(np.quantile(squares[is_moving] / variance[is_moving], LEVEL))
     scaled_shares[_REST_COLUMN] = 0.0
-    rest_shares = (squares - columns @ scaled_shares)[~is_moving] / columns[
-        ~is_moving, _REST_COLUMN
-    ]
-    scaled_shares[_REST_COLUMN] = (
-        max(0.0, float(np.quantile(rest_shares, LEVEL))) if len(rest_shares) else 0.0
-    )
-    return scaled_shares, columns @ scaled_shares + 1e-30
+    is_resting = ~is_moving
+    if is_resting.any():
+        unexplained = (squares - columns @ scaled_shares)[is_resting]
+        rest_shares = unexplained / columns[is_resting, _REST_COLUMN]
+        scaled_shares[_REST_COLUMN] = max(0.0, float(np.quantile(rest_shares, LEVEL)))
+    return scaled_shares, columns @ scaled_shares + _VARIANCE_FLOOR
 
 
 def observe(

@@ -9,7 +9,7 @@ import sympy
 
 from fmu_src.blocks.block import vector
 from fmu_src.equations.c_printer import function
-from fmu_src.equations.header import SOLVER, equations_header
+from fmu_src.equations.header import SOLVER, Joint, equations_header
 from fmu_src.export import package
 from fmu_src.export.interface import ArrayVariable, Interface, Variable, literal
 from fmu_src.friction import friction_component
@@ -129,93 +129,120 @@ def _build_parameters(
     bandwidth: float,
     constants: Sequence[float] | None,
 ) -> Iterator[Variable]:
+    """Yield the tunable parameters of the observer itself."""
     text = "cut-off of the observer; limits and threshold hold for its start value"
     bandwidth_variable = Variable("bandwidth", "tunable", text, unit="1/s", start=bandwidth)
     yield replace(bandwidth_variable, least=1e-3, limited=True)
     text = "contact threshold over the half-width of the limits"
     yield Variable("contact_factor", "tunable", text, unit="1", start=limits.factor, least=0.0)
-    unit, text = ("N.m/A", "torque per current") if constants else ("1", "factor on tau_motor")
+    text = "factor on tau_motor"
+    unit = "1"
     torque_constants = constants or np.ones(len(model.joints))
+    if constants:
+        text = "torque per current"
+        unit = "N.m/A"
     yield from vector("torque_constant", "tunable", unit, text, torque_constants)
     for quantity, values in zip(NAMES, limits.numbers, strict=True):
         for number, value in enumerate(values, start=1):
             yield friction_component.build_joint_variable(
                 model, quantity, number, "tunable", start=value, least=0.0
             )
-    for thermal_quantities in zip(
-        *(thermal_parameters(thermal)[:_THERMAL_COUNT] for thermal in model.thermal), strict=True
-    ):
+    joint_quantities = [thermal_parameters(thermal)[:_THERMAL_COUNT] for thermal in model.thermal]
+    for thermal_quantities in zip(*joint_quantities, strict=True):
         for number, thermal_quantity in enumerate(thermal_quantities, start=1):
             yield friction_component.build_joint_variable(
                 model, thermal_quantity, number, "tunable", start=thermal_quantity.start
             )
 
 
+def _build_inputs(model: FrictionModel, *, are_currents: bool) -> list[Variable]:
+    """Return position, speed and motor torque or current of all joints, and temperatures."""
+    motor = _INPUTS[2]
+    if are_currents:
+        motor = ("tau_motor", "A", "current of the motor")
+    zeros = (0.0,) * len(model.laws)
+    inputs: list[Variable] = []
+    for name, unit, text in (*_INPUTS[:2], motor):
+        inputs += vector(name, "input", unit, text, zeros)
+    for number, thermal in enumerate(model.thermal, start=1):
+        temperature = friction_component.build_joint_variable(model, TEMPERATURE, number, "input")
+        inputs.append(replace(temperature, start=thermal.reference))
+    return inputs
+
+
+def _build_law_variables(model: FrictionModel, joints: Sequence[Joint]) -> list[Variable]:
+    """Return states and parameters of the laws of all joints."""
+    law_variables: list[Variable] = []
+    for number, (law, joint) in enumerate(zip(model.laws, joints, strict=True), start=1):
+        law_inputs = {}
+        for name in ("dq", "q"):
+            law_inputs[name] = friction_component.find_joint_signals(name, number, model.coupling)
+        law_inputs[TAU_LOAD.name] = ()  # computed by the observer
+        law_variables += friction_component.law_variables(law, number, joint, law_inputs)
+    return law_variables
+
+
+def _build_outputs(
+    plant_body: PlantBody, count: int, dependencies: tuple[str, ...]
+) -> list[Variable]:
+    """Return the torques of `count` joints, the contact, and the wrench if the arm shows it."""
+    outputs: list[Variable] = []
+    for name, unit, text in _OUTPUTS:
+        outputs += vector(name, "output", unit, text, (0.0,) * count, dependencies)
+    text = "whether the external torque of a joint is beyond its threshold"
+    outputs.append(Variable("contact", "output", text, boolean=True, dependencies=dependencies))
+    if has_wrench(plant_body.robot):
+        for name, unit, shape, text in _WRENCH:
+            outputs += _build_elements(name, unit, shape, text, dependencies)
+    return outputs
+
+
+def _build_elements(
+    name: str, unit: str, shape: tuple[int, ...], text: str, dependencies: tuple[str, ...]
+) -> Iterator[Variable]:
+    """Yield the elements of an output array, row by row."""
+    for element in np.ndindex(*shape):
+        index = ",".join(str(k + 1) for k in element)
+        yield Variable(f"{name}[{index}]", "output", text, unit=unit, dependencies=dependencies)
+
+
 def _build_interface(
     model: FrictionModel,
     plant_body: PlantBody,
     observer_parameters: Sequence[Variable],
-    is_current: bool,
+    *,
+    are_currents: bool,
 ) -> Interface:
+    """Return the variables of the observer: inputs, outputs, parameters and states."""
     joints = friction_component.build_joints(model, names={TORQUE: "tau_friction"})
-    zeros = (0.0,) * len(joints)
-    rows = [*_INPUTS[:2], ("tau_motor", "A", "current of the motor") if is_current else _INPUTS[2]]
-    variables = [
-        variable
-        for name, unit, text in rows
-        for variable in vector(name, "input", unit, text, zeros)
-    ]
-    for number, thermal in enumerate(model.thermal, start=1):
-        temperature_variable = friction_component.build_joint_variable(
-            model, TEMPERATURE, number, "input"
-        )
-        variables.append(replace(temperature_variable, start=thermal.reference))
-    inputs = tuple(variable.name for variable in variables)
-
-    def mixed_inputs(number: int) -> dict[str, tuple[str, ...]]:
-        motion_inputs = {
-            name: friction_component.find_joint_signals(name, number, model.coupling)
-            for name in ("dq", "q")
-        }
-        return {**motion_inputs, TAU_LOAD.name: ()}
-
+    inputs = _build_inputs(model, are_currents=are_currents)
     parameters = [
         *observer_parameters,
         *inertial_parameters(plant_body),
         *friction_component.scales(model),
     ]
-    law_variables = [
-        variable
-        for number, (law, joint) in enumerate(zip(model.laws, joints, strict=True), start=1)
-        for variable in friction_component.law_variables(law, number, joint, mixed_inputs(number))
-    ]
-    states = (variable.name for variable in law_variables if not variable.derivative_of)
-    dependencies = (*inputs, *(variable.name for variable in parameters), *states)
-    for name, unit, text in _OUTPUTS:
-        variables += vector(name, "output", unit, text, zeros, dependencies)
-    text = "whether the external torque of a joint is beyond its threshold"
-    variables.append(Variable("contact", "output", text, boolean=True, dependencies=dependencies))
-    for name, unit, shape, text in _WRENCH if has_wrench(plant_body.robot) else ():
-        for element in np.ndindex(*shape):
-            index = ",".join(str(k + 1) for k in element)
-            component = Variable(
-                f"{name}[{index}]", "output", text, unit=unit, dependencies=dependencies
-            )
-            variables.append(component)
-    discretisation_variable = friction_component.discretisation(
-        model, "how the states of friction are relaxed"
-    )
-    variables += [
+    law_variables = _build_law_variables(model, joints)
+    # Each output depends on all joints: the rigid body couples them.
+    input_names = tuple(variable.name for variable in inputs)
+    parameter_names = tuple(variable.name for variable in parameters)
+    states = tuple(variable.name for variable in law_variables if not variable.derivative_of)
+    dependencies = (*input_names, *parameter_names, *states)
+    variables = [
+        *inputs,
+        *_build_outputs(plant_body, len(joints), dependencies),
         *parameters,
-        discretisation_variable,
+        friction_component.discretisation(model, "how the states of friction are relaxed"),
         friction_component.start_mode(),
         *law_variables,
     ]
-    joint_variables = (adapt_to_joint(variable, model.slides) for variable in variables)
+    initial_variables = []
+    for variable in variables:
+        joint_variable = adapt_to_joint(variable, model.slides)
+        initial_variables.append(
+            friction_component.make_inputs_initial(joint_variable, input_names)
+        )
     return Interface(
-        variables=tuple(
-            friction_component.make_inputs_initial(variable, inputs) for variable in joint_variables
-        ),
+        variables=tuple(initial_variables),
         own=1 + len(joints) * (len(joints) + 4) + 10 * plant_body.robot.links,
         model_exchange=False,
         directional_derivatives=False,
@@ -294,70 +321,84 @@ def content(
     if not 0.0 < bandwidth < np.inf:
         raise ExportError(f"observer: 'bandwidth' is {bandwidth:g} Hz; it must be positive.")
     observer_parameters = list(_build_parameters(model, limits, bandwidth, constants))
-    interface = _build_interface(model, plant_body, observer_parameters, bool(constants))
-    thermal = (
-        f"thermal_{thermal_field.name}" for thermal_field in fields(Thermal)[:_THERMAL_COUNT]
+    interface = _build_interface(
+        model, plant_body, observer_parameters, are_currents=bool(constants)
     )
-    absent_names = (*(name for name, *_ in _WRENCH), TEMPERATURE.name, *thermal)
-    # An observer without these still has to compile.
-    macro_variables = {name.upper(): "contact" for name in absent_names}
-    named_arrays = [
-        array
-        for array in interface.arrays
-        if array.name.isidentifier() and array.elements[0].role != "state"
-    ]
-    macro_variables |= {array.name.upper(): array.elements[0].name for array in named_arrays}
-    macro_variables |= {"PARAMETERS": "link[1].m", "ROTORS": "rotor[1]", "PAYLOAD_M": "payload.m"}
-    macro_variables |= {"PAYLOAD_COM": "payload.com[1]", "PAYLOAD_INERTIA": "payload.Ixx"}
-    macro_variables["SPRINGS"] = next(
-        (name for name in interface.places if name.startswith("spring[")), "gravity[1]"
-    )
-    laws = friction_component.build_joints(model, names={TORQUE: "tau_friction"})
-    names = ("coupling.h", "law_math.h", "regroup.h")
-    sources = {name: package.read_c_source(name) for name in names} | {
-        "observer.c": (HERE / "observer.c").read_text(encoding="utf-8"),
-        "dynamics.h": dynamics_header(plant_body.robot, of_joints=True),
-        "jacobian.h": jacobian_header(plant_body.robot),
-        "band.h": band_header(),
-        "warmth.h": warmth_header(),
-        "equations.h": equations_header(
-            laws, interface, macro_variables, calls=SOLVER, coupling=model.coupling
-        ),
-    }
+    sources = _write_sources(model, plant_body, interface)
     about = describe_fmu(
         model,
         name=f"Observer of {plant_body.robot.name} with {model_title(model)}",
         identifier=f"observer_{model.law}",
-        text=f"External torque of {len(laws)} joints from their motion and motors. {limits.text}",
+        text=(
+            f"External torque of {len(model.laws)} joints from their motion and motors. "
+            f"{limits.text}"
+        ),
         step_size=model.sample_time,
     )
     if bare:
         return package.Content(table=interface, about=about, sources=sources, members={})
     joints, refusal = law_entries(model)
-    titles = list(dict.fromkeys(map(title, model.laws)))
-    page_values = {
-        "about": about,
-        "model": model,
-        "titles": titles,
-        "joints": joints,
-        "limits": limits,
-    }
-    page_values |= {"refused": refusal, "bandwidth": bandwidth, "constants": constants}
-    page_values |= {
-        "names": [number.name for number in NAMES],
-        "wrench": has_wrench(plant_body.robot),
-    }
-    page_values |= {"groups": variable_groups(interface)}
     page = render_template(
-        "observer.html.j2", folders=(HERE / "templates", TEMPLATES), **page_values
+        "observer.html.j2",
+        folders=(HERE / "templates", TEMPLATES),
+        about=about,
+        model=model,
+        titles=list(dict.fromkeys(map(title, model.laws))),
+        joints=joints,
+        limits=limits,
+        refused=refusal,
+        bandwidth=bandwidth,
+        constants=constants,
+        names=[number.name for number in NAMES],
+        wrench=has_wrench(plant_body.robot),
+        groups=variable_groups(interface),
     )
-    inputs = waves(
-        {variable.name: 1.0 for variable in interface.variables if variable.role == "input"}
-    )
+    inputs = [variable.name for variable in interface.variables if variable.role == "input"]
     return package.Content(
         table=interface,
         about=about,
         sources=sources,
         members={"documentation/index.html": page.encode(), **embed_model(model)},
-        stimuli=Stimuli(step=model.sample_time, inputs=inputs),
+        stimuli=Stimuli(step=model.sample_time, inputs=waves(dict.fromkeys(inputs, 1.0))),
     )
+
+
+def _write_sources(
+    model: FrictionModel, plant_body: PlantBody, interface: Interface
+) -> dict[str, str]:
+    """Return the C files of the observer by name."""
+    joints = friction_component.build_joints(model, names={TORQUE: "tau_friction"})
+    sources = {}
+    for name in ("coupling.h", "law_math.h", "regroup.h"):
+        sources[name] = package.read_c_source(name)
+    sources["observer.c"] = (HERE / "observer.c").read_text(encoding="utf-8")
+    sources["dynamics.h"] = dynamics_header(plant_body.robot, of_joints=True)
+    sources["jacobian.h"] = jacobian_header(plant_body.robot)
+    sources["band.h"] = band_header()
+    sources["warmth.h"] = warmth_header()
+    sources["equations.h"] = equations_header(
+        joints, interface, _place_macros(interface), calls=SOLVER, coupling=model.coupling
+    )
+    return sources
+
+
+def _place_macros(interface: Interface) -> dict[str, str]:
+    """Return the first variable of each array by the macro that stands for its place in C."""
+    thermal_fields = fields(Thermal)[:_THERMAL_COUNT]
+    optional_names = [name for name, *_ in _WRENCH]
+    optional_names.append(TEMPERATURE.name)
+    optional_names += [f"thermal_{thermal_field.name}" for thermal_field in thermal_fields]
+    # An observer without these still has to compile.
+    macros = {name.upper(): "contact" for name in optional_names}
+    for array in interface.arrays:
+        first = array.elements[0]
+        if array.name.isidentifier() and first.role != "state":
+            macros[array.name.upper()] = first.name
+    macros["PARAMETERS"] = "link[1].m"
+    macros["ROTORS"] = "rotor[1]"
+    macros["PAYLOAD_M"] = "payload.m"
+    macros["PAYLOAD_COM"] = "payload.com[1]"
+    macros["PAYLOAD_INERTIA"] = "payload.Ixx"
+    springs = [name for name in interface.places if name.startswith("spring[")]
+    macros["SPRINGS"] = next(iter(springs), "gravity[1]")
+    return macros
