@@ -37,12 +37,13 @@ def compute_deviations(values: Sequence[float], errors: Sequence[float | None]) 
     std_errors = np.array([0.0 if error is None else error for error in errors])
     median = float(np.median(x))
     if np.all(x > 0.0):
-        std_errors, x = std_errors / x, np.log(x)
+        std_errors = std_errors / x  # of the logarithms
+        x = np.log(x)
         smallest_scale = _OUTLIER_TOLERANCE
     else:
-        smallest_scale = _OUTLIER_TOLERANCE * (
-            float(np.median(np.abs(x))) or float(np.max(np.abs(x))) or 1.0
-        )
+        # The largest value if the median is 0, and 1 if all values are.
+        magnitude = float(np.median(np.abs(x))) or float(np.max(np.abs(x))) or 1.0
+        smallest_scale = _OUTLIER_TOLERANCE * magnitude
     distances = x - np.median(x)
     mad = _MAD_TO_DEVIATION * float(np.median(np.abs(distances)))
     z = distances / np.maximum(np.maximum(mad, std_errors), smallest_scale)
@@ -75,5 +76,7 @@ def fit_trend(days: Sequence[float], values: Sequence[float]) -> Trend | None:
     rounding = np.finfo(float).eps * float(np.max(np.abs(y)))
     spread = max(float(np.sqrt(residual @ residual / (len(x) - 2))), rounding)
     error = spread / float(np.sqrt(x0 @ x0))
-    p = 2.0 * float(stdtr(len(x) - 2, -abs(slope) / error)) if error else 1.0
+    p = 1.0
+    if error:  # 0 if all values are 0, which has no trend
+        p = 2.0 * float(stdtr(len(x) - 2, -abs(slope) / error))
     return Trend(slope=slope, change=slope * float(np.ptp(x)), p=p)

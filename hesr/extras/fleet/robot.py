@@ -22,6 +22,7 @@ from hesr_model.errors import ArtifactError, FitError, HesrError, LogError
 from hesr_model.findings import Finding
 from hesr_model.fitting.days import solve_nuisances
 from hesr_model.fitting.fit import fit_models
+from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record, rmse
 from hesr_model.health.examine import check_body, check_laws, examine, merge_findings
@@ -29,10 +30,10 @@ from hesr_model.logs.robot_log import Log
 from hesr_model.logs.sample import MotionSample
 from hesr_model.logs.signals import Motion, smooth
 from hesr_model.rigid_body.accumulation import StreamedProblem
+from hesr_model.rigid_body.friction_record import FrictionRecord
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import motion_records, transform_records
 from hesr_model.robots.robot import Robot, RobotDescription
-from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256
 from hesr_model.support.typed_files import from_json, read_json, to_json, write_json
 
@@ -129,7 +130,7 @@ class _Robot:
             "sample": sum(len(motion.t) for motion in sample),
             **self._robot.description.constants,
         }
-        failures: dict[str, FitError] = {}
+        failures: dict[str, FitError] = {}  # of laws that the logs do not determine
         models = fit_models(
             study.laws,
             records,
@@ -191,48 +192,43 @@ class _Robot:
     def _check(self, log: Log) -> None:
         accept = self._member.robot_type.accept
         findings = examine([log], self._robot.description, self._robot).findings
-        error_findings = [
-            finding
+        reasons = [
+            f"{finding.sentence.removesuffix('.')} [{finding.check}]"
             for finding in findings
             if finding.severity == "error" and finding.check not in accept
         ]
-        if error_findings:
-            raise LogError(
-                "; ".join(
-                    f"{finding.sentence.removesuffix('.')} [{finding.check}]"
-                    for finding in error_findings
-                )
-            )
+        if reasons:
+            raise LogError("; ".join(reasons))
         self._findings = merge_findings([*self._findings, *findings])
 
     def _evaluate_joints(
         self, models: Mapping[str, FrictionModel], body: RigidBody
     ) -> list[JointResult]:
+        """Evaluate all laws on each joint and log; the order is that of the laws."""
         bare_body = replace(body, covariance=None)
         days_by_law: dict[tuple[str, int], dict[str, _Day]] = {}
         for parts in self._read_motions():
+            log_name = parts[0].name
             records = [
                 transform_records(motion_records(part, self._robot, bare_body)) for part in parts
             ]
             for law_name, model in models.items():
                 for j, law in enumerate(model.laws):
-                    tau_predicted = np.concatenate(
-                        [predict_record(law, joint_records[j]) for joint_records in records]
-                    )
-                    tau = np.concatenate([joint_records[j].tau for joint_records in records])
-                    days_by_law.setdefault((law_name, j), {})[parts[0].name] = _evaluate_day(
-                        tau_predicted, tau
-                    )
+                    joint_records = [part_records[j] for part_records in records]
+                    log_days = days_by_law.setdefault((law_name, j), {})
+                    log_days[log_name] = _evaluate_day(law, joint_records)
         day_numbers = self._member.days
-        return [
-            _summarise_joint(
-                models[law_name], j, log_days, [day_numbers[name] for name in log_days]
-            )
-            for (law_name, j), log_days in days_by_law.items()
-        ]
+        joint_results = []
+        for (law_name, j), log_days in days_by_law.items():
+            log_day_numbers = [day_numbers[name] for name in log_days]
+            joint_results.append(_summarise_joint(models[law_name], j, log_days, log_day_numbers))
+        return joint_results
 
 
-def _evaluate_day(tau_predicted: Array, tau: Array) -> _Day:
+def _evaluate_day(law: FrictionLaw, records: Sequence[FrictionRecord]) -> _Day:
+    """Compare the law of a joint with the parts of a log."""
+    tau_predicted = np.concatenate([predict_record(law, record) for record in records])
+    tau = np.concatenate([record.tau for record in records])
     nuisances = solve_nuisances(tau_predicted, tau, ("level", "offset"))
     return _Day(
         rows=len(tau),
@@ -252,16 +248,20 @@ def _summarise_joint(
     rows = sum(day.rows for day in log_days)
     mean_rmse = float(np.sqrt(sum(day.rows * day.rmse**2 for day in log_days) / rows))
     mean_tau = sum(day.tau_sum for day in log_days) / rows
-    tau_std = float(
-        np.sqrt(max(sum(day.tau_square_sum for day in log_days) / rows - mean_tau**2, 0.0))
-    )
+    mean_tau_square = sum(day.tau_square_sum for day in log_days) / rows
+    # The difference of a constant torque may be below 0 by round-off.
+    tau_std = float(np.sqrt(max(mean_tau_square - mean_tau**2, 0.0)))
     scale = tau_std or 1.0
     courses = {
         "level": [day.level for day in log_days],
         "offset": [day.offset / scale for day in log_days],
         "error": [day.rmse / scale for day in log_days],
     }
-    trends = ((name, fit_trend(day_numbers, values)) for name, values in courses.items())
+    trends = {}
+    for name, values in courses.items():
+        trend = fit_trend(day_numbers, values)
+        if trend is not None:
+            trends[name] = trend
     return JointResult(
         law=model.law,
         joint=model.joints[j],
@@ -270,7 +270,7 @@ def _summarise_joint(
         errors=law.standard_errors,
         rmse=mean_rmse,
         tau_std=tau_std,
-        trends={name: trend for name, trend in trends if trend is not None},
+        trends=trends,
     )
 
 

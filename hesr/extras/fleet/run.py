@@ -1,7 +1,7 @@
 """Run of a fleet, which continues after an interrupt, and the comparison of its robots."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,7 +13,7 @@ from cosim.report.result_page import write_answer
 from fmu_src import export_fmu
 from fmu_src.friction.friction_component import is_exposed
 from hesr.extras.adaptive.monitor import POINTS_TO, find_shared_signs
-from hesr.extras.fleet.deviation import MIN_SAMPLE_SIZE, Deviation, compute_deviations
+from hesr.extras.fleet.deviation import MIN_SAMPLE_SIZE, Deviation, Trend, compute_deviations
 from hesr.extras.fleet.result import (
     BODY,
     Change,
@@ -38,9 +38,35 @@ from hesr_model.support import parallel
 from hesr_model.support.files import written_together
 from hesr_model.support.progress import Stages, report_progress, silent
 
-Key = tuple[str, str, str, str]  # robot, law, joint, and name of a number
-_KINDS = {"level": "drift", "offset": "shift", "error": "error"}
+_KINDS = {"level": "drift", "offset": "shift", "error": "error"}  # of change, by trend
 _POINTS_TO = POINTS_TO | {"error": "play, damage, or a sensor: no friction law explains it"}
+
+
+class NumberKey(NamedTuple):
+    """A number of a robot: a coefficient or another result of a law and joint."""
+
+    robot: str
+    law: str
+    joint: str
+    name: str
+
+
+class _Group(NamedTuple):
+    """What numbers have in common that can be compared."""
+
+    type: str
+    law: str
+    joint: str
+    structure: str
+    name: str
+
+
+class _Sample(NamedTuple):
+    """A number of a robot with its standard error, None if unknown."""
+
+    robot: str
+    value: float
+    error: float | None
 
 
 def compare_robots(
@@ -50,54 +76,50 @@ def compare_robots(
 
     Returns z by (robot, law, joint), then by name, and deviants at significance `level` (Holm).
     """
-    groups: dict[tuple[str, ...], list[tuple[RobotResult, float, float | None]]] = {}
-    for robot in robots:
-        for joint_result in robot.joints:
-            for number_name, value in _list_numbers(joint_result):
-                group = (
-                    robot.type,
-                    joint_result.law,
-                    joint_result.joint,
-                    joint_result.structure,
-                    number_name,
-                )
-                groups.setdefault(group, []).append(
-                    (robot, value, joint_result.errors.get(number_name))
-                )
-    typed_deviations: dict[Key, tuple[str, Deviation]] = {}
-    for (type_name, law_name, joint, _, number_name), entries in groups.items():
-        if len(entries) >= MIN_SAMPLE_SIZE:
-            group_deviations = compute_deviations(
-                [value for _, value, _ in entries], [error for *_, error in entries]
-            )
-            for (robot, *_), deviation in zip(entries, group_deviations, strict=True):
-                typed_deviations[robot.robot, law_name, joint, number_name] = (
-                    type_name,
-                    deviation,
-                )
-    adjusted_p = adjust_by_holm(
-        {key: deviation.p for key, (_, deviation) in typed_deviations.items()}
-    )
+    types = {robot.robot: robot.type for robot in robots}
+    deviations: dict[NumberKey, Deviation] = {}
+    for group, samples in _group_numbers(robots).items():
+        if len(samples) < MIN_SAMPLE_SIZE:
+            continue
+        group_deviations = compute_deviations(
+            [sample.value for sample in samples], [sample.error for sample in samples]
+        )
+        for sample, deviation in zip(samples, group_deviations, strict=True):
+            key = NumberKey(sample.robot, group.law, group.joint, group.name)
+            deviations[key] = deviation
+    adjusted_p = adjust_by_holm({key: deviation.p for key, deviation in deviations.items()})
     deviants = []
     z: dict[tuple[str, str, str], dict[str, float]] = {}
-    for (robot_name, law_name, joint, number_name), (
-        type_name,
-        deviation,
-    ) in typed_deviations.items():
-        z.setdefault((robot_name, law_name, joint), {})[number_name] = deviation.z
-        numbers = vars(deviation) | {"p": adjusted_p[robot_name, law_name, joint, number_name]}
-        if numbers["p"] < level:
-            deviants.append(
-                Deviant(
-                    robot=robot_name,
-                    type=type_name,
-                    law=law_name,
-                    joint=joint,
-                    name=number_name,
-                    **numbers,
-                )
+    for key, deviation in deviations.items():
+        z.setdefault((key.robot, key.law, key.joint), {})[key.name] = deviation.z
+        if adjusted_p[key] < level:
+            deviant = Deviant(
+                robot=key.robot,
+                type=types[key.robot],
+                law=key.law,
+                joint=key.joint,
+                name=key.name,
+                value=deviation.value,
+                median=deviation.median,
+                z=deviation.z,
+                p=adjusted_p[key],
             )
+            deviants.append(deviant)
     return z, sorted(deviants, key=lambda d: (-abs(d.z), d.robot, d.law, d.joint, d.name))
+
+
+def _group_numbers(robots: Sequence[RobotResult]) -> dict[_Group, list[_Sample]]:
+    """Collect the numbers of robots that can be compared with each other."""
+    groups: dict[_Group, list[_Sample]] = {}
+    for robot in robots:
+        for joint_result in robot.joints:
+            law_name = joint_result.law
+            structure = joint_result.structure
+            for name, value in _list_numbers(joint_result):
+                group = _Group(robot.type, law_name, joint_result.joint, structure, name)
+                sample = _Sample(robot.robot, value, joint_result.errors.get(name))
+                groups.setdefault(group, []).append(sample)
+    return groups
 
 
 def _list_numbers(joint_result: JointResult) -> Iterator[tuple[str, float]]:
@@ -112,48 +134,63 @@ def find_changes(
     robots: Sequence[RobotResult], level: float, smallest_share: float
 ) -> list[Change]:
     """Return changes of at least `smallest_share` of friction at significance `level` (Holm)."""
-    trends = {
-        (robot.robot, joint_result.law, joint_result.joint, number_name): (robot, trend)
-        for robot in robots
-        for joint_result in robot.joints
-        for number_name, trend in joint_result.trends.items()
-    }
-    adjusted_p = adjust_by_holm({key: trend.p for key, (_, trend) in trends.items()})
+    robots_by_name = {robot.robot: robot for robot in robots}
+    trends = _collect_trends(robots)
+    adjusted_p = adjust_by_holm({key: trend.p for key, trend in trends.items()})
     significant = {
-        key: (robot, trend)
-        for key, (robot, trend) in trends.items()
+        key: trend
+        for key, trend in trends.items()
         if adjusted_p[key] < level and abs(trend.change) >= smallest_share
     }
-    drifts: dict[tuple[str, str], list[tuple[str, int]]] = {}
-    for (robot_name, law_name, joint, number_name), (_, trend) in significant.items():
-        if number_name == "level":
-            drifts.setdefault((robot_name, law_name), []).append((joint, _sign(trend.change)))
+    shared_signs = _find_shared_drifts(robots_by_name, significant)
     changes = []
-    for key, (robot, trend) in significant.items():
-        robot_name, law_name, joint, number_name = key
-        kind = _KINDS[number_name]
-        joints = sum(joint_result.law == law_name for joint_result in robot.joints)
-        if kind == "drift" and _sign(trend.change) in find_shared_signs(
-            drifts[robot_name, law_name], joints
-        ):
+    for key, trend in significant.items():
+        kind = _KINDS[key.name]
+        if kind == "drift" and _sign(trend.change) in shared_signs[key.robot, key.law]:
             kind = "shared drift"
-        changes.append(
-            Change(
-                robot=robot_name,
-                type=robot.type,
-                law=law_name,
-                joint=joint,
-                kind=kind,
-                change=trend.change,
-                per_day=trend.slope,
-                p=adjusted_p[key],
-                worse=number_name == "offset" or trend.change > 0.0,
-                points_to=_POINTS_TO[kind],
-            )
+        change = Change(
+            robot=key.robot,
+            type=robots_by_name[key.robot].type,
+            law=key.law,
+            joint=key.joint,
+            kind=kind,
+            change=trend.change,
+            per_day=trend.slope,
+            p=adjusted_p[key],
+            # An offset is worse in either direction, level and error only if they rise.
+            worse=key.name == "offset" or trend.change > 0.0,
+            points_to=_POINTS_TO[kind],
         )
+        changes.append(change)
     return sorted(
         changes, key=lambda c: (not c.worse, -abs(c.change), c.robot, c.law, c.joint, c.kind)
     )
+
+
+def _collect_trends(robots: Sequence[RobotResult]) -> dict[NumberKey, Trend]:
+    """Return the trends of all robots by the number that has it."""
+    trends = {}
+    for robot in robots:
+        for joint_result in robot.joints:
+            for name, trend in joint_result.trends.items():
+                key = NumberKey(robot.robot, joint_result.law, joint_result.joint, name)
+                trends[key] = trend
+    return trends
+
+
+def _find_shared_drifts(
+    robots: Mapping[str, RobotResult], trends: Mapping[NumberKey, Trend]
+) -> dict[tuple[str, str], list[int]]:
+    """Return the signs of drifts that most joints of a robot share, by (robot, law)."""
+    drifts: dict[tuple[str, str], list[tuple[str, int]]] = {}
+    for key, trend in trends.items():
+        if key.name == "level":
+            drifts.setdefault((key.robot, key.law), []).append((key.joint, _sign(trend.change)))
+    shared_signs = {}
+    for (robot_name, law_name), law_drifts in drifts.items():
+        joint_count = len(robots[robot_name].select_law(law_name))
+        shared_signs[robot_name, law_name] = find_shared_signs(law_drifts, joint_count)
+    return shared_signs
 
 
 def _sign(number: float) -> int:
@@ -181,37 +218,50 @@ def run_fleet(
     members = find_members(study, path)
     import_arrow()  # before the work
     with lock_folder(output, ROBOTS, ABOUT, {"key": study.name}):
+        robot_folders = [output / ROBOTS / member.name for member in members]
         jobs = [
-            partial(process_robot, member, study, output / ROBOTS / member.name)
-            for member in members
+            partial(process_robot, member, study, robot_folder)
+            for member, robot_folder in zip(members, robot_folders, strict=True)
         ]
         names = [member.name for member in members]
+        reused = 0
         with parallel.results_of(jobs, workers, names=names) as is_reused:
-            reused = sum(
-                next(is_reused) for _ in report_progress(jobs, partial(progress, study.name))
-            )
-        results = tuple(read_result(output / ROBOTS / member.name) for member in members)
-        z, deviants = compare_robots(results, study.level)
-        fleet = FleetResult(
-            name=study.name,
-            robots=results,
-            z=z,
-            deviants=tuple(deviants),
-            changes=tuple(find_changes(results, study.level, study.least_change)),
-            fmus=write_types(study, results, output, progress) if study.fmu else {},
-            folder=output,
-            reused=0,
-            findings=[
-                Finding(check="logs", where=robot_result.robot, found=robot_result.sentences[0])
-                for robot_result in results
-                if robot_result.sentences
-            ],
-        )
-        # The page of a continued run is that of an uninterrupted one.
+            for _ in report_progress(jobs, partial(progress, study.name)):
+                reused += next(is_reused)
+        results = [read_result(robot_folder) for robot_folder in robot_folders]
+        # The page of a continued run is that of an uninterrupted one, with no robot reused.
+        fleet = _judge_fleet(study, results, output, progress)
         with written_together(output / PAGE) as file:
             write_table(file(output / TABLE), fleet)
             write_answer(fleet, file(output / PAGE))
     return replace(fleet, reused=reused, files=(output / PAGE, output / TABLE))
+
+
+def _judge_fleet(
+    study: FleetStudy, results: Sequence[RobotResult], output: Path, progress: Stages
+) -> FleetResult:
+    """Compare the robots with each other and over the days, and write the FMUs of their types."""
+    z, deviants = compare_robots(results, study.level)
+    changes = find_changes(results, study.level, study.least_change)
+    fmus = {}
+    if study.fmu:
+        fmus = write_types(study, results, output, progress)
+    findings = [
+        Finding(check="logs", where=robot_result.robot, found=robot_result.sentences[0])
+        for robot_result in results
+        if robot_result.sentences
+    ]
+    return FleetResult(
+        name=study.name,
+        robots=tuple(results),
+        z=z,
+        deviants=tuple(deviants),
+        changes=tuple(changes),
+        fmus=fmus,
+        folder=output,
+        reused=0,
+        findings=findings,
+    )
 
 
 class _StructureKey(NamedTuple):
@@ -227,36 +277,37 @@ def write_types(
     groups: dict[_StructureKey, list[RobotResult]] = {}
     for robot in robots:
         for law_name in robot.laws:
-            groups.setdefault(
-                _StructureKey(robot.type, law_name, robot.structure(law_name)), []
-            ).append(robot)
+            structure_key = _StructureKey(robot.type, law_name, robot.structure(law_name))
+            groups.setdefault(structure_key, []).append(robot)
     numbers: Counter[tuple[str, str]] = Counter()
     fmus: dict[tuple[str, str, str], Path] = {}
-    for done, kind in enumerate(sorted(groups, key=lambda kind: (-len(groups[kind]), kind))):
+    frequent_first = sorted(groups, key=lambda key: (-len(groups[key]), key))
+    for done, key in enumerate(frequent_first):
         progress("FMUs of the types", done, len(groups))
-        model = _build_typical_model(kind, groups[kind], output)
+        model = _build_typical_model(key, groups[key], output)
         if not all(map(is_exposed, model.laws)):
             continue
-        numbers[kind.type, kind.law] += 1
-        number = numbers[kind.type, kind.law]
-        name = kind.law if number == 1 else f"{kind.law}-{number}"
-        fmus[kind] = export_fmu(
-            model, output / TYPES / kind.type / f"{name}.fmu", platforms=study.platforms
-        )
+        numbers[key.type, key.law] += 1
+        number = numbers[key.type, key.law]
+        name = key.law
+        if number > 1:
+            name = f"{key.law}-{number}"
+        path = output / TYPES / key.type / f"{name}.fmu"
+        fmus[key] = export_fmu(model, path, platforms=study.platforms)
     return fmus
 
 
 def _build_typical_model(
     group: _StructureKey, robots: Sequence[RobotResult], output: Path
 ) -> FrictionModel:
+    """Return the model of the first robot with the medians of all of its group."""
     first_model = FrictionModel.read(output / ROBOTS / robots[0].robot / f"{group.law}.json")
     laws = []
     for j, law in enumerate(first_model.laws):
         values_by_robot = [robot.select_law(group.law)[j].values for robot in robots]
-        values = {
-            name: float(np.median([robot_values[name] for robot_values in values_by_robot]))
-            for name in law.values
-        }
-        laws.append(replace(law, values=values, standard_errors={}, covariance=None))
+        medians = {}
+        for name in law.values:
+            medians[name] = float(np.median([values[name] for values in values_by_robot]))
+        laws.append(replace(law, values=medians, standard_errors={}, covariance=None))
     provenance = {"type": group.type, "robots": len(robots)}
     return replace(first_model, robot=group.type, laws=tuple(laws), provenance=provenance)

@@ -61,12 +61,11 @@ class Member:
         """Days since the first log; indices unless all names hold a date."""
         log_days = [_find_day(name) for name, _ in self.logs]
         dated_days = [day for day in log_days if day is not None]
-        first_day = min(dated_days, default=0)
-        positions = (
-            range(len(log_days))
-            if len(dated_days) < len(log_days)
-            else (day - first_day for day in dated_days)
-        )
+        if len(dated_days) < len(log_days):
+            positions = list(range(len(log_days)))
+        else:
+            first_day = min(dated_days, default=0)
+            positions = [day - first_day for day in dated_days]
         return {
             name: float(position) for (name, _), position in zip(self.logs, positions, strict=True)
         }
