@@ -1,6 +1,7 @@
 """Job of `hesr simulate TWIN.toml`: logs of planned motions from a digital twin."""
 
 import shutil
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -43,27 +44,32 @@ def _run(
         raise ConfigError(
             f"{path}: each of the {len(motions)} motions '{twin_file.plays}' has a log."
         )
-    files = []
+    log_paths = []
     twin = Twin(
         plant=twin_file.plant, signals=twin_file.signals, motions=path, truth=twin_file.truth
     )
+    stages = partial(progress, "running the arm")
     with scratch_folder() as folder:
         plant, signals = twin_plant(twin, path, folder)
         with load_arm(plant, fmu=export_twin(plant, folder, signals)) as arm:
-            for motion in report_progress(
-                unrecorded, lambda *counts: progress("running the arm", *counts)
-            ):
-                table = read_table(motion)
-                names = ["t", *(f"q{j + 1}" for j in range(len(plant.joints)))]
-                t, *q = table.numbers(names).T
-                rate = float(1.0 / np.median(np.diff(t)))
-                planned_motion = PlannedMotion(rate=rate, rows=np.column_stack(q))
-                files.append(logs_folder / f"{motion.stem}.csv")
-                record(arm, planned_motion, twin_file.seed, name=motion.stem).log.write(files[-1])
+            for motion in report_progress(unrecorded, stages):
+                log_path = logs_folder / f"{motion.stem}.csv"
+                planned_motion = _read_motion(motion, len(plant.joints))
+                recording = record(arm, planned_motion, twin_file.seed, name=motion.stem)
+                recording.log.write(log_path)
+                log_paths.append(log_path)
                 plan = motion.with_suffix(SUFFIX)
                 if plan.is_file():
-                    shutil.copyfile(plan, files[-1].with_suffix(SUFFIX))
-    return Written(lines=[f"{len(files)} motions on the twin."], files=files)
+                    shutil.copyfile(plan, log_path.with_suffix(SUFFIX))
+    return Written(lines=[f"{len(log_paths)} motions on the twin."], files=log_paths)
+
+
+def _read_motion(path: Path, joint_count: int) -> PlannedMotion:
+    """Return the motion through the positions of a table, at its usual rate."""
+    names = ["t", *(f"q{j + 1}" for j in range(joint_count))]
+    t, *q = read_table(path).numbers(names).T
+    rate = float(1.0 / np.median(np.diff(t)))
+    return PlannedMotion(rate=rate, rows=np.column_stack(q))
 
 
 JOB = PluginJob("simulate", "plays", _run)

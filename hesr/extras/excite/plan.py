@@ -1,6 +1,6 @@
 """Planned motions for `hesr excite`: files (tables, URScript, ROS 2), page, and answer."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -39,11 +39,12 @@ def write_csv(path: Path, motion: PlannedMotion, joints: Sequence[str]) -> None:
 
 def write_columns(path: Path, motion: PlannedMotion, joints: Sequence[str]) -> None:
     """Write t, q1.., dq1.., ddq1.. as a table."""
-    t, *values = motion.setpoints()
-    names = [
-        f"{name}{number}" for name in ("q", "dq", "ddq") for number in range(1, len(joints) + 1)
-    ]
-    write_table(path, {"t": t} | dict(zip(names, np.hstack(values).T, strict=True)))
+    t, q, dq, ddq = motion.setpoints()
+    columns = {"t": t}
+    for name, values in (("q", q), ("dq", dq), ("ddq", ddq)):
+        for j in range(len(joints)):
+            columns[f"{name}{j + 1}"] = values[:, j]
+    write_table(path, columns)
 
 
 def write_urscript(path: Path, motion: PlannedMotion, joints: Sequence[str]) -> None:
@@ -59,15 +60,17 @@ def write_urscript(path: Path, motion: PlannedMotion, joints: Sequence[str]) -> 
 
 def write_ros2(path: Path, motion: PlannedMotion, joints: Sequence[str]) -> None:
     """Write a trajectory_msgs/msg/JointTrajectory as YAML."""
+    t, q, dq, ddq = motion.setpoints()
     points = []
-    for k, rows in enumerate(zip(*motion.setpoints()[1:], strict=True)):
-        q, dq, ddq = map(_format_row, rows)
+    for k in range(len(t)):
+        # From the index, not from t: whole nanoseconds without accumulated round-off.
         sec, nanosec = divmod(round(k * 1e9 / motion.rate), 10**9)
         points.append(
-            f"- {{positions: {q}, velocities: {dq}, accelerations: {ddq}, effort: [], "
+            f"- {{positions: {_format_row(q[k])}, velocities: {_format_row(dq[k])}, "
+            f"accelerations: {_format_row(ddq[k])}, effort: [], "
             f"time_from_start: {{sec: {sec}, nanosec: {nanosec}}}}}"
         )
-    names = ", ".join("'" + name.replace("'", "''") + "'" for name in joints)
+    names = ", ".join("'" + name.replace("'", "''") + "'" for name in joints)  # quoted as in YAML
     _fill_template("ros2.txt", path, head=HEAD, joints=names, points="\n".join(points))
 
 
@@ -83,9 +86,10 @@ def _format_row(values: Array) -> str:
 def write_motion(path: Path, motion: PlannedMotion, joints: Sequence[str], kind: str) -> Path:
     """Write a motion in a format; return the path, whose suffix is that of the format."""
     write, suffix = find("hesr.setpoints", kind)
-    with written_whole(path := path.with_suffix(suffix)) as temporary:
+    motion_path = path.with_suffix(suffix)
+    with written_whole(motion_path) as temporary:
         write(temporary, motion, joints)
-    return path
+    return motion_path
 
 
 CSV = (write_csv, ".csv")
@@ -118,66 +122,91 @@ def plan_motions(
 ) -> Written:
     """Plan motions of a purpose and write them with a page; see `hesr.excite`."""
     robot = Robot(robot_path)
-    motion_settings = MotionSettings.read(settings) if settings else MotionSettings()
-    if after:  # new poses and tests
-        motion_settings = motion_settings.model_copy(update={"seed": motion_settings.seed + 1000})
-    if format == "urscript" and not motion_settings.sample_rate:
-        motion_settings = motion_settings.model_copy(update={"sample_rate": _UR_RATE})
-    motion_purpose = "friction" if after else purpose
-    times = {name: duration for name, duration in TIMES.items() if motion_purpose in (name, "all")}
-    factor = 1.0 if time is None else time / sum(times.values())
-    for name, duration in times.items():
-        if not _MIN_DURATION <= factor * duration <= _MAX_DURATION:
-            raise ConfigError(
-                f"'time' gives the motion for {name} {factor * duration:.3g} s; it needs "
-                f"{_MIN_DURATION:g} to {_MAX_DURATION:g} s."
-            )
-    lines: list[str] = []
+    motion_settings = _read_settings(settings, format, is_sequel=after is not None)
+    if after:
+        purpose = "friction"
+    times = _share_time(purpose, time)
     stages = partial(progress, "planning the motion")
+    plan_lines: list[str] = []
+    forecast = None
     try:
-        planner = Planner(guard := Guard(robot, motion_settings), motion_settings)
+        planner = Planner(Guard(robot, motion_settings), motion_settings)
         if after:
-            motions, forecast, lines = plan_sequel(planner, after, sum(times.values()) * factor)
+            motions, forecast, plan_lines = plan_sequel(planner, after, sum(times.values()))
         else:
-            motions = {
-                name: planner.plan(name, factor * duration, progress=stages)
-                for name, duration in times.items()
-            }
+            motions = {}
+            for name, duration in times.items():
+                motions[name] = planner.plan(name, duration, progress=stages)
     except HesrError as error:
         raise type(error)(f"{settings or robot_path}: {error}") from error
-    lines += [
-        f"{name}, {part}: {first:.1f} to {last:.1f} s, for {_PURPOSES[name]}."
-        for name, motion in motions.items()
-        for part, first, last in motion.parts
-    ]
     format_name = format or output.suffix.lower().lstrip(".")
-    page_path = output.with_suffix(".html")
     files = []
+    for name, motion in motions.items():
+        path = output
+        if len(motions) > 1:
+            path = output.with_stem(f"{output.stem}_{name}")
+        motion_path = write_motion(path, motion, robot.joints, format_name)
+        files.append(motion_path)
+        if forecast is not None and name == "friction":
+            forecast_path = motion_path.with_suffix(SUFFIX)
+            write_json(forecast_path, {"format": FORMAT, **to_json(forecast)})
+            files.append(forecast_path)
+    answer = _describe_motions(planner, motions, plan_lines)
+    page_path = output.with_suffix(".html")
+    write_answer(answer, page_path)
+    return replace(answer, files=[*files, page_path])
+
+
+def _read_settings(
+    path: Path | None, format_name: str | None, *, is_sequel: bool
+) -> MotionSettings:
+    """Return the settings of a file, or the default ones, for a format."""
+    settings = MotionSettings()
+    if path:
+        settings = MotionSettings.read(path)
+    if is_sequel:  # new poses and tests
+        settings = settings.model_copy(update={"seed": settings.seed + 1000})
+    if format_name == "urscript" and not settings.sample_rate:
+        settings = settings.model_copy(update={"sample_rate": _UR_RATE})
+    return settings
+
+
+def _share_time(purpose: str, time: float | None) -> dict[str, float]:
+    """Return the duration [s] of each motion of a purpose; `time` [s] is the total.
+
+    Raises ConfigError if a motion would be too short or too long.
+    """
+    defaults = {name: duration for name, duration in TIMES.items() if purpose in (name, "all")}
+    factor = 1.0
+    if time is not None:
+        factor = time / sum(defaults.values())
+    times = {name: factor * duration for name, duration in defaults.items()}
+    for name, duration in times.items():
+        if not _MIN_DURATION <= duration <= _MAX_DURATION:
+            raise ConfigError(
+                f"'time' gives the motion for {name} {duration:.3g} s; it needs "
+                f"{_MIN_DURATION:g} to {_MAX_DURATION:g} s."
+            )
+    return times
+
+
+def _describe_motions(
+    planner: Planner, motions: Mapping[str, PlannedMotion], plan_lines: Sequence[str]
+) -> Written:
+    """Return the answer on motions by purpose, without files: lines, figures and data."""
+    guard = planner.guard
+    contact_shapes = "capsules around the links"
+    if guard.clearance.exact:
+        contact_shapes = "the model's geometry"
+    lines = [*plan_lines]
     figures = []
     for name, motion in motions.items():
-        path = output if len(motions) == 1 else output.with_stem(f"{output.stem}_{name}")
-        files.append(write_motion(path, motion, robot.joints, format_name))
-        if after and name == "friction":
-            files.append(files[-1].with_suffix(SUFFIX))
-            write_json(files[-1], {"format": FORMAT, **to_json(forecast)})
-        with apply_style():
-            t, q, dq, _ = motion.setpoints()
-            figure = draw_limited_motion(t, q, dq, guard.stated_limits, robot.joints, speeds=True)
-        figures.append(
-            ResultFigure(
-                section=f"Motion for {name}",
-                key=name,
-                drawing=figure,
-                caption="Dashed: limits. Right: time at each speed, forwards up, backwards down.",
-                alt="Position, velocity and speeds by joint.",
-            )
-        )
-    contact_shapes = (
-        "the model's geometry" if guard.clearance.exact else "capsules around the links"
-    )
-    answer = Written(
+        for part, first, last in motion.parts:
+            lines.append(f"{name}, {part}: {first:.1f} to {last:.1f} s, for {_PURPOSES[name]}.")
+        figures.append(_draw_motion(name, motion, guard))
+    return Written(
         format="hesr-motions-1",
-        title=f"Motions for {robot.name}",
+        title=f"Motions for {guard.robot.name}",
         origin=f"Contacts were checked with {contact_shapes}.",
         lines=[*lines, HEAD],
         drawn=figures,
@@ -186,5 +215,17 @@ def plan_motions(
             "parts": {name: motion.parts for name, motion in motions.items()},
         },
     )
-    write_answer(answer, page_path)
-    return replace(answer, files=[*files, page_path])
+
+
+def _draw_motion(name: str, motion: PlannedMotion, guard: Guard) -> ResultFigure:
+    """Draw positions and speeds of a motion within the stated limits."""
+    t, q, dq, _ = motion.setpoints()
+    with apply_style():
+        figure = draw_limited_motion(t, q, dq, guard.stated_limits, guard.robot.joints, speeds=True)
+    return ResultFigure(
+        section=f"Motion for {name}",
+        key=name,
+        drawing=figure,
+        caption="Dashed: limits. Right: time at each speed, forwards up, backwards down.",
+        alt="Position, velocity and speeds by joint.",
+    )
