@@ -16,10 +16,16 @@
 #include "coupling.h"
 #include "equations.h"
 
-/* Own memory: whether initialisation has ended; mass matrix, speeds and other torques of the last
- * sample; filtered inertial torques and squares of half-widths; parameters of dynamics.h. */
-enum { STARTED = 0, MASS = 1, SPEED = MASS + JOINTS * JOINTS, OTHERS = SPEED + JOINTS };
-enum { INERTIAL = OTHERS + JOINTS, SQUARE = INERTIAL + JOINTS, TABLE = SQUARE + JOINTS };
+/* Own memory: whether initialisation has ended; of the last sample mass matrix, speeds, and torques
+ * other than inertial and external ones; filtered inertial torques and squares of half-widths;
+ * parameters of dynamics.h. */
+enum { STARTED = 0 };
+enum { MASS = 1 };
+enum { SPEED = MASS + JOINTS * JOINTS };
+enum { OTHERS = SPEED + JOINTS };
+enum { INERTIAL = OTHERS + JOINTS };
+enum { SQUARE = INERTIAL + JOINTS };
+enum { TABLE = SQUARE + JOINTS };
 
 #include "jacobian.h"
 #include "regroup.h"
@@ -27,73 +33,103 @@ enum { INERTIAL = OTHERS + JOINTS, SQUARE = INERTIAL + JOINTS, TABLE = SQUARE + 
 #include "band.h"
 #include "warmth.h"
 
-#define DEVIATIONS 1.96   /* half-width at 95 % in standard deviations */
+/* Half-width at 95 % in standard deviations. */
+#define DEVIATIONS 1.96
 
 /* Standard deviation of force and moment in a direction that a singular posture hides [N, N.m]. */
 #define UNKNOWN 1e4
 
-/* Fill the inputs of a law and return its coefficients. */
-static const double *see_law(const double *v, int i, double *u) {
+/* Smallest square of a half-width [N2.m2] in the weights of joints, which divide by it. */
+#define MIN_SQUARE 1e-12
+
+#define TWO_PI 6.283185307179586
+
+/* Force and moment on the flange. */
+enum { WRENCH = 6 };
+
+/* Fill the inputs u of the law of joint i and return its coefficients.
+ *
+ * With a temperature, the inputs after those of the motion are scales of friction. */
+static const double *read_law(const double *v, int i, double *u) {
+    const Joint *joint = &joints[i];
     const bool is_thermal = TEMPERATURE != CONTACT;
     double factors[2] = {1.0, 1.0}; /* on Coulomb and viscous friction */
     if (is_thermal) {
         find_warmth(v, i, factors);
     }
-    for (int j = 0; j < joints[i].inputs; j++) {
+    for (int j = 0; j < joint->inputs; j++) {
         u[j] = input_of(v, i, j);
         if (is_thermal && j >= MIXED) {
-            u[j] *= factors[joints[i].input[j] == VISCOUS_SCALE + i];
+            const bool is_viscous = joint->input[j] == VISCOUS_SCALE + i;
+            u[j] *= factors[is_viscous];
         }
     }
-    return joints[i].constants ? joints[i].constants : &v[joints[i].first_parameter];
+    return joint->constants ? joint->constants : &v[joint->first_parameter];
 }
 
-static double friction(double *v, int i, double step) {
-    static const double still[MAX_INPUTS] = {0.0};
+/* Move the states of the law of joint i over a step [s] and return its torque [N.m]. A step of 0
+ * sets them to their start first. */
+static double step_friction(double *v, int i, double step) {
+    static const double no_rates[MAX_INPUTS] = {0.0}; /* of the inputs: its slopes are not used */
     const Joint *joint = &joints[i];
-    double u[MAX_INPUTS], moved[MAX_STATES], torque[MAX_OUTPUTS], slope[MAX_OUTPUTS];
-    const double *k = see_law(v, i, u);
+    double u[MAX_INPUTS];
+    double next_states[MAX_STATES];
+    double torque[MAX_OUTPUTS];
+    double slope[MAX_OUTPUTS];
+    const double *coefficients = read_law(v, i, u);
     double *x = &v[joint->first_state];
+    const size_t size = (size_t)joint->states * sizeof *x;
     if (step == 0.0) {
-        memcpy(x, &v[joint->first_start], (size_t)joint->states * sizeof *x);
+        memcpy(x, &v[joint->first_start], size);
         if (joint->states > 0 && v[START_MODE] == STEADY) {
-            joint->begin(k, u, x);
+            joint->begin(coefficients, u, x);
         }
     }
-    joint->attempt(k, u, x, step, v[DISCRETISATION] == EULER, still, moved, torque, slope);
-    memcpy(x, moved, (size_t)joint->states * sizeof *x);
+    joint->attempt(coefficients, u, x, step, v[DISCRETISATION] == EULER, no_rates, next_states,
+                   torque, slope);
+    memcpy(x, next_states, size);
     return torque[0];
 }
 
-/* Invert a symmetric positive definite matrix by sweeps, without pivots. */
-static void invert(double a[6][6]) {
-    for (int k = 0; k < 6; k++) {
+/* Invert a symmetric positive definite matrix in place by sweeps, which need no pivot search. */
+static void invert(double a[WRENCH][WRENCH]) {
+    for (int k = 0; k < WRENCH; k++) {
         const double pivot = a[k][k];
-        for (int i = 0; i < 36; i++) {
-            const int row = i / 6, column = i % 6;
-            if (row != k && column != k) {
-                a[row][column] -= a[row][k] * a[k][column] / pivot;
+        for (int row = 0; row < WRENCH; row++) {
+            for (int column = 0; column < WRENCH; column++) {
+                if (row != k && column != k) {
+                    a[row][column] -= a[row][k] * a[k][column] / pivot;
+                }
             }
         }
-        for (int i = 0; i < 6; i++) {
-            a[i][k] = i == k ? 1.0 / pivot : -a[i][k] / pivot;
-            a[k][i] = i == k ? a[k][k] : a[k][i] / pivot;
+        for (int i = 0; i < WRENCH; i++) {
+            if (i != k) {
+                a[i][k] = -a[i][k] / pivot;
+                a[k][i] = a[k][i] / pivot;
+            }
         }
+        a[k][k] = 1.0 / pivot;
     }
 }
 
-/* Weighted least squares of tau_ext = J' (force, moment). */
+/* Put force [N] and moment [N.m] on the flange and their covariances, from the squares of the
+ * joints' half-widths [N2.m2]: weighted least squares of tau_ext = J' (force, moment). */
 static void put_wrench(double *v, const double *squares) {
-    double jacobian[6][JOINTS], covariance[6][6], sum[6] = {0.0};
+    double jacobian[WRENCH][JOINTS];
+    double covariance[WRENCH][WRENCH]; /* first its inverse, the information of the joints */
+    double projection[WRENCH] = {0.0}; /* J W tau_ext */
     flange_jacobian(&v[Q], jacobian);
-    for (int a = 0; a < 6; a++) {
-        for (int b = 0; b < 6; b++) {
-            covariance[a][b] = a == b ? 1.0 / (UNKNOWN * UNKNOWN) : 0.0;
-            for (int i = 0; i < JOINTS; i++) {
-                const double weight = DEVIATIONS * DEVIATIONS / fmax(squares[i], 1e-12);
+    for (int a = 0; a < WRENCH; a++) {
+        for (int b = 0; b < WRENCH; b++) {
+            covariance[a][b] = 0.0;
+        }
+        covariance[a][a] = 1.0 / (UNKNOWN * UNKNOWN);
+        for (int i = 0; i < JOINTS; i++) {
+            const double weight = DEVIATIONS * DEVIATIONS / fmax(squares[i], MIN_SQUARE);
+            for (int b = 0; b < WRENCH; b++) {
                 covariance[a][b] += jacobian[a][i] * weight * jacobian[b][i];
-                sum[a] += b == 0 ? jacobian[a][i] * weight * v[TAU_EXT + i] : 0.0;
             }
+            projection[a] += jacobian[a][i] * weight * v[TAU_EXT + i];
         }
     }
     invert(covariance);
@@ -104,23 +140,25 @@ static void put_wrench(double *v, const double *squares) {
             v[FORCE_MOMENT_COVARIANCE + 3 * a + b] = covariance[a][b + 3];
         }
     }
-    for (int a = 0; a < 6; a++) {
-        double *one = a < 3 ? &v[FORCE + a] : &v[MOMENT + a - 3];
-        *one = 0.0;
-        for (int b = 0; b < 6; b++) {
-            *one += covariance[a][b] * sum[b];
+    for (int a = 0; a < WRENCH; a++) {
+        double *element = a < 3 ? &v[FORCE + a] : &v[MOMENT + a - 3];
+        *element = 0.0;
+        for (int b = 0; b < WRENCH; b++) {
+            *element += covariance[a][b] * projection[b];
         }
     }
 }
 
+/* Put limits and thresholds [N.m] of the external torques, whether one is beyond its threshold,
+ * and the wrench of an arm that shows it. */
 static void put_limits(Component *component) {
     double *v = component->v;
     v[CONTACT] = 0.0;
     for (int i = 0; i < JOINTS; i++) {
-        const double half = sqrt(component->own[SQUARE + i]);
-        v[TAU_EXT_LOWER + i] = v[TAU_EXT + i] - half;
-        v[TAU_EXT_UPPER + i] = v[TAU_EXT + i] + half;
-        v[CONTACT_THRESHOLD + i] = v[CONTACT_FACTOR] * half;
+        const double half_width = sqrt(component->own[SQUARE + i]);
+        v[TAU_EXT_LOWER + i] = v[TAU_EXT + i] - half_width;
+        v[TAU_EXT_UPPER + i] = v[TAU_EXT + i] + half_width;
+        v[CONTACT_THRESHOLD + i] = v[CONTACT_FACTOR] * half_width;
         if (fabs(v[TAU_EXT + i]) > v[CONTACT_THRESHOLD + i]) {
             v[CONTACT] = 1.0;
         }
@@ -130,39 +168,55 @@ static void put_limits(Component *component) {
     }
 }
 
-/* Observe the sample in the inputs; a step of 0 is the first one. */
+/* Return the inertial torque [N.m] of joint i over a step [s]: (M+ + M) (dq+ - dq) / 2 per step.
+ * Both mass matrices have their lower triangles only. */
+static double find_inertial_torque(const Component *component, double mass[JOINTS][JOINTS], int i,
+                                   double step) {
+    const double *v = component->v;
+    const double *own = component->own;
+    double torque = 0.0;
+    for (int j = 0; j < JOINTS; j++) {
+        const int row = i < j ? j : i;
+        const int column = i < j ? i : j;
+        const double last_mass = own[MASS + row * JOINTS + column];
+        const double change = v[DQ + j] - own[SPEED + j];
+        torque += 0.5 * (mass[row][column] + last_mass) * change / step;
+    }
+    return torque;
+}
+
+/* Observe the sample in the inputs after a step [s]; a step of 0 is the first one. */
 static void observe_sample(Component *component, double step) {
-    double *v = component->v, *own = component->own;
-    double mass[JOINTS][JOINTS], bias[JOINTS], moving[JOINTS];
+    double *v = component->v;
+    double *own = component->own;
+    double mass[JOINTS][JOINTS];
+    double bias[JOINTS];
+    double inertial[JOINTS];
     const bool begins = step == 0.0;
-    const double share = begins ? 1.0 : -expm1(-6.283185307179586 * v[BANDWIDTH] * step);
+    /* The low pass is exact for inputs that are held over the step. */
+    const double share = begins ? 1.0 : -expm1(-TWO_PI * v[BANDWIDTH] * step);
     if (begins || component->changed != 0.0) {
         regroup(component);
     }
     dynamics(&own[TABLE], &v[ROTORS], &v[SPRINGS], &v[GRAVITY], &v[Q], &v[DQ], mass, bias);
     for (int i = 0; i < JOINTS; i++) {
-        double inertial = 0.0;
-        for (int j = 0; j < JOINTS && !begins; j++) {
-            const double now = i < j ? mass[j][i] : mass[i][j];
-            const double before = own[MASS + (i < j ? j * JOINTS + i : i * JOINTS + j)];
-            inertial += 0.5 * (now + before) * (v[DQ + j] - own[SPEED + j]) / step;
-        }
-        own[INERTIAL + i] += share * (inertial - own[INERTIAL + i]);
+        inertial[i] = begins ? 0.0 : find_inertial_torque(component, mass, i, step);
+        own[INERTIAL + i] += share * (inertial[i] - own[INERTIAL + i]);
         v[TAU_LOAD + i] = bias[i] + own[INERTIAL + i];
         v[TAU_FRICTION + i] = 0.0;
-        moving[i] = inertial;
+    }
+    /* After all loads: a coupled law mixes those of several joints. */
+    for (int i = 0; i < JOINTS; i++) {
+        add_torque(v, TAU_FRICTION, i, step_friction(v, i, step));
     }
     for (int i = 0; i < JOINTS; i++) {
-        add_torque(v, TAU_FRICTION, i, friction(v, i, step));
-    }
-    for (int i = 0; i < JOINTS; i++) {
-        const double rest =
-            bias[i] + v[TAU_FRICTION + i] - v[TORQUE_CONSTANT + i] * v[TAU_MOTOR + i];
-        const double external = moving[i] + 0.5 * (rest + own[OTHERS + i]);
-        v[TAU_EXT + i] = begins ? 0.0 : v[TAU_EXT + i] + share * (external - v[TAU_EXT + i]);
+        const double motor = v[TORQUE_CONSTANT + i] * v[TAU_MOTOR + i];
+        const double others = bias[i] + v[TAU_FRICTION + i] - motor;
+        const double external = inertial[i] + 0.5 * (others + own[OTHERS + i]);
         double half_squared;
         find_half_squared(v, i, &half_squared);
-        own[OTHERS + i] = rest;
+        v[TAU_EXT + i] = begins ? 0.0 : v[TAU_EXT + i] + share * (external - v[TAU_EXT + i]);
+        own[OTHERS + i] = others;
         own[SQUARE + i] += share * (half_squared - own[SQUARE + i]);
     }
     memcpy(&own[SPEED], &v[DQ], JOINTS * sizeof *v);
@@ -170,29 +224,36 @@ static void observe_sample(Component *component, double step) {
     put_limits(component);
 }
 
+/* Start with the first sample. */
 static bool component_initialise(Component *component, void *workspace, Message *why) {
-    (void)workspace, (void)why;
+    (void)workspace;
+    (void)why;
     observe_sample(component, 0.0);
     component->own[STARTED] = 1.0;
     return true;
 }
 
-/* Before the first step, outputs follow the inputs; then they are those of the last step. */
+/* Put the outputs, and the derivatives of the states. Before the first step, outputs follow the
+ * inputs; then they are those of the last step. */
 static bool component_output(Component *component, void *workspace, Message *why) {
-    (void)workspace, (void)why;
+    (void)workspace;
+    (void)why;
     if (component->own[STARTED] == 0.0) {
         observe_sample(component, 0.0);
     }
     for (int i = 0; i < JOINTS; i++) {
-        double u[MAX_INPUTS], *v = component->v, *x = &v[joints[i].first_state];
-        const double *k = see_law(v, i, u);
-        joints[i].solved_derivatives(k, u, x, x + joints[i].states);
+        double u[MAX_INPUTS];
+        const double *coefficients = read_law(component->v, i, u);
+        double *x = &component->v[joints[i].first_state];
+        joints[i].solved_derivatives(coefficients, u, x, x + joints[i].states);
     }
     return true;
 }
 
+/* Observe the sample after a step [s]. */
 static bool component_step(Component *component, void *workspace, double step, Message *why) {
-    (void)workspace, (void)why;
+    (void)workspace;
+    (void)why;
     observe_sample(component, step);
     return true;
 }
