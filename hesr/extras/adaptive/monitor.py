@@ -151,7 +151,14 @@ POINTS_TO = {
 
 @dataclass(frozen=True, kw_only=True)
 class Alarm:
-    """A change of friction at a time [s]; `sign` is 1 for more friction or torque."""
+    """A change of friction.
+
+    Attributes
+    ----------
+    time : time of the alarm in the log [s].
+    kind : drift, shared drift or shift.
+    sign : 1 for more friction or torque, -1 for less.
+    """
 
     log: str
     joint: str
@@ -174,7 +181,16 @@ class Alarm:
 
 @dataclass(frozen=True, kw_only=True)
 class State:
-    """One joint at the end of a log: offset and errors [N.m; N], share of rows with adaptation."""
+    """One joint at the end of a log.
+
+    Attributes
+    ----------
+    level, viscosity : factors on Coulomb and viscous friction.
+    offset : torque in addition to the law [N.m; N].
+    level_sd, viscosity_sd, offset_sd : standard deviations, in the same units.
+    learning : share of the rows in which the factors adapt.
+    rmse_fixed, rmse : errors of the law and of the adaptive law [N.m; N].
+    """
 
     log: str
     joint: str
