@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -20,7 +21,7 @@ from hesr_model.errors import ArgumentError, ArtifactError, HesrError
 from hesr_model.findings import log_findings
 from hesr_model.support import plugins
 from hesr_model.support.files import PathArg, require_writable, to_path
-from hesr_model.support.progress import Interrupted, Stages, report_progress, silent
+from hesr_model.support.progress import Interrupted, Stages, publish_draft, report_progress, silent
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
     from fmu_src.friction.convention import Convention
     from hesr_model.findings import Finding
 
+_Writer = tuple[Callable[..., None], "Path"]  # of findings, with its file
+
+_DRAFT_PAUSE = 9.0  # between drafts of findings, in times of writing one: a tenth of all time
 _MAX_LOGGED = 3  # findings of a file that are printed before all files are checked
 _VDMCHECK_HINT = (
     "VDMCheck2 was not run: unpack a release of github.com/INTO-CPS-Association/FMI-VDM-Model, and "
@@ -184,17 +188,17 @@ def check(
     remember_trust(paths, trust=trust)
     vdmcheck_folder = to_optional_path("vdmcheck", vdmcheck)
     reports: list[Report] = []
+    draft_files = _DraftFiles(writers)
     try:
         for path in report_progress(paths, partial(progress, "checking"), lambda path: path.name):
             report = _check_file(path, kinds, vdmcheck_folder, is_single=len(paths) == 1)
             reports.append(report)
             if len(paths) > 1:
                 _log_first_findings(report)
+                draft_files.write(reports)
     except KeyboardInterrupt as interrupt:
         hint = f"{len(reports)} of {len(paths)} files were checked"
-        for write, file in writers:
-            write(file, reports)
-        answer = FmuReport(reports=reports, files=[file for _, file in writers])
+        answer = _write_findings(reports, writers)
         raise Interrupted(hint, interrupt, answer) from interrupt
     conventions: dict[Path, Convention] = {}
     if "convention" in kinds:
@@ -203,9 +207,20 @@ def check(
             reports[number], convention = _measure_convention(report)
             if convention is not None:
                 conventions[report.path] = convention
+    return _write_findings(reports, writers, conventions)
+
+
+def _write_findings(
+    reports: Sequence[Report],
+    writers: Iterable[_Writer],
+    conventions: Mapping[Path, Convention] | None = None,
+) -> FmuReport:
+    """Write all files of findings, and return the answer that names them."""
+    files = []
     for write, file in writers:
         write(file, reports)
-    return FmuReport(reports=reports, conventions=conventions, files=[file for _, file in writers])
+        files.append(file)
+    return FmuReport(reports=reports, conventions=conventions or {}, files=files)
 
 
 def _add_place(findings: Iterable[Finding], path: Path) -> list[Finding]:
@@ -227,7 +242,27 @@ def _measure_convention(report: Report) -> tuple[Report, Convention | None]:
         return replace(report, skipped=skipped), None
 
 
-def _find_writers(files: Mapping[str, PathArg | None]) -> list[tuple[Callable[..., None], Path]]:
+class _DraftFiles:
+    """Files of the findings so far, which are complete whenever the run is killed."""
+
+    def __init__(self, writers: Iterable[_Writer]) -> None:
+        self._writers = list(writers)
+        self._next_time = time.monotonic()
+        self._is_first = True
+
+    def write(self, reports: Sequence[Report]) -> None:
+        """Write the reports unless the last time is too recent; the files grow with each report."""
+        begin = time.monotonic()
+        if begin < self._next_time:
+            return
+        publish_draft(_write_findings(tuple(reports), self._writers))
+        end = time.monotonic()
+        if not self._is_first:  # the first time also loads modules
+            self._next_time = end + _DRAFT_PAUSE * (end - begin)
+        self._is_first = False
+
+
+def _find_writers(files: Mapping[str, PathArg | None]) -> list[_Writer]:
     """Return the writers of findings with their files, of formats that have a file."""
     writers = []
     for name, file in files.items():
@@ -245,18 +280,19 @@ def _is_system(path: Path) -> bool:
 
 def _require_supported(paths: Sequence[Path], kinds: Sequence[str]) -> None:
     """Refuse an unreadable file, or one that a kind does not support, before checking others."""
-    from fmu_src.friction.convention import judge
     from fmu_src.run.archive import open_file
 
-    for path in paths:
-        if _is_system(path) and set(kinds) - {"static", "references"}:
-            raise ArgumentError(f"{path}: an SSP supports 'kind' static and references only.")
-    for path in paths:
-        if not _is_system(path):
-            if len(paths) == 1:
-                open_file(path).close()
-            if "convention" in kinds:
-                judge(path)
+    systems = [path for path in paths if _is_system(path)]
+    fmus = [path for path in paths if not _is_system(path)]
+    if systems and set(kinds) - {"static", "references"}:
+        raise ArgumentError(f"{systems[0]}: an SSP supports 'kind' static and references only.")
+    if fmus and len(paths) == 1:
+        open_file(fmus[0]).close()
+    if "convention" in kinds:
+        from fmu_src.friction.convention import judge  # slow to import
+
+        for path in fmus:
+            judge(path)
 
 
 def _log_first_findings(report: Report) -> None:

@@ -13,6 +13,7 @@ from xml.parsers import expat
 
 from lxml import etree
 
+from fmu_src.check.reader_process import ReaderProcess
 from fmu_src.check.rules import Problem
 from fmu_src.export import record
 from fmu_src.run.archive import (
@@ -28,7 +29,6 @@ from fmu_src.run.archive import (
     open_archive,
     open_file,
 )
-from hesr_model.support.child import run_in_child
 from hesr_model.support.process import DiedError
 from hesr_model.support.text import join_few, quote, quote_names, sanitise
 
@@ -127,13 +127,10 @@ def _find_invalid_byte(data: bytes) -> int | None:
     return data.index(b"\0") if b"\0" in data else None
 
 
-def schema_problems(name: str, file: Path, folder: Path) -> list[Problem]:
+def schema_problems(name: str, file: Path, reader: ReaderProcess) -> list[Problem]:
     """Return the schema violations of an XML file; time is limited, being quadratic in errors."""
     try:
-        reader = "fmu_src.check.readers:compare"
-        violations = run_in_child(
-            reader, str(file), folder=folder, seconds=SCHEMA_TIMEOUT, modules=("lxml.etree",)
-        )
+        violations = reader.run("fmu_src.check.readers:compare", file, SCHEMA_TIMEOUT)
     except DiedError as error:
         text = f"{name}: it cannot be compared with the schema: the comparison {error}."
         return [("xsd", text)]

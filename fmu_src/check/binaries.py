@@ -8,18 +8,18 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-import fmpy
-
 from fmu_src.check.archive import Contents
 from fmu_src.check.description import KINDS, InterfaceKind, ParsedDescription
+from fmu_src.check.reader_process import ReaderProcess
+from fmu_src.check.readers import find_package_folders
 from fmu_src.check.rules import Problem
-from hesr_model.support.child import run_in_child
 from hesr_model.support.process import DiedError
 from hesr_model.support.text import quote, quote_names, sanitise
 
 
 def _read_functions(version: int) -> list[list[str]]:
-    header = Path(fmpy.__file__).parent / "c-code" / f"fmi{version}Functions.h"
+    folder = find_package_folders("fmpy")[0]
+    header = folder / "c-code" / f"fmi{version}Functions.h"
     sections = re.split(r"^(?:Common )?Functions", header.read_text("utf-8"), flags=re.MULTILINE)
     function_lists = [
         re.findall(rf"FMI{version}_Export\s+\w+\s+(\w+);", section) for section in sections
@@ -125,9 +125,9 @@ _PYTHON = re.compile("_?Py[A-Z_][A-Za-z_]+")
 
 
 def problems(
-    model_description: ParsedDescription, contents: Contents, folder: Path
+    model_description: ParsedDescription, contents: Contents, reader: ReaderProcess
 ) -> Iterator[Problem]:
-    """Yield the problems of the binaries; `folder` is for temporary files."""
+    """Yield the problems of the binaries."""
     for platform, names in _group_by_platform(contents).items():
         expected = PLATFORMS[model_description.fmi].get(platform)
         # Subfolders may contain only static libraries.
@@ -139,7 +139,7 @@ def problems(
             if name in contents.files:
                 file = contents.files[name]
                 for rule, text in _check_library(
-                    file, model_description, kinds, expected, names, folder
+                    file, model_description, kinds, expected, names, reader
                 ):
                     yield rule, f"{sanitise(name)}: {text}"
             elif name not in contents.names:
@@ -199,12 +199,10 @@ def _check_library(
     kinds: list[InterfaceKind],
     expected: Platform,
     neighbours: set[str],
-    folder: Path,
+    reader: ReaderProcess,
 ) -> Iterator[Problem]:
     try:
-        library = run_in_child(
-            _READER, str(file), folder=folder, seconds=READER_TIMEOUT, modules=("lief",)
-        )
+        library = reader.run(_READER, file, READER_TIMEOUT)
     except DiedError as error:
         yield "binary-unreadable", f"its content could not be read: its reader {error}."
         return

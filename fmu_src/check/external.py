@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from fmu_src.check.archive import Contents
+from fmu_src.check.reader_process import ReaderProcess
 from fmu_src.check.rules import Problem
-from hesr_model.support.child import run_in_child
 from hesr_model.support.process import DiedError, FailedError, run, tie_command
 from hesr_model.support.text import quote_names, sanitise
 
@@ -36,13 +36,10 @@ def write_copy(contents: Contents, readable: Iterable[str], path: Path) -> None:
             )
 
 
-def fmpy(copy: Path, folder: Path) -> tuple[list[Problem], list[str]]:
+def fmpy(copy: Path, reader: ReaderProcess) -> tuple[list[Problem], list[str]]:
     """Return the problems that FMPy finds, and why it was not run."""
     try:
-        reader = "fmu_src.check.readers:validate"
-        messages, failure = run_in_child(
-            reader, str(copy), folder=folder, seconds=FMPY_SECONDS, modules=("fmpy.validation",)
-        )
+        messages, failure = reader.run("fmu_src.check.readers:validate", copy, FMPY_SECONDS)
     except DiedError as error:
         return [], [f"FMPy {error}."]
     problems = [("fmpy", _add_difference(text)) for text in messages]

@@ -45,9 +45,11 @@ def validate(file: str) -> tuple[list[str], str]:
         )
         model_description.modelVariables = list(islice(odd, MAX_NAMES))
         model_description.fmiVersion = ""
-        messages = (
-            validate_model_description(model_description, validate_variable_names=True) + messages
-        )
+        if model_description.modelVariables:  # loading the grammar of names is slow
+            name_messages = validate_model_description(
+                model_description, validate_variable_names=True
+            )
+            messages = name_messages + messages
     except Exception as error:
         # FMPy raises bare exceptions for violations; others are its own faults.
         reason = str(error) or type(error).__name__
@@ -96,9 +98,14 @@ def find_schema(tag: str, attributes: Mapping[str, str]) -> Path | None:
     folder = ""
     if name.startswith("ssp/") and attributes.get("version", "").startswith("2."):
         package, folder, name = "pyssp_standard", "resources/ssp2", Path(name).name
+    return next((place / folder / name for place in find_package_folders(package)), None)
+
+
+def find_package_folders(package: str) -> list[Path]:
+    """Return the folders of an installed package without importing it, which may be slow."""
     spec = find_spec(package)
-    places = (spec.submodule_search_locations if spec else None) or ()
-    return next((Path(place, folder, name) for place in places), None)
+    locations = spec.submodule_search_locations if spec else None
+    return [Path(location) for location in locations or ()]
 
 
 def inspect(file: str) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from fmu_src.check import archive, binaries, external, rules, sources
 from fmu_src.check.archive import Contents
 from fmu_src.check.description import ParsedDescription, read_description
 from fmu_src.check.description_rules import RULES, RULES_2, RULES_3, TERMINALS, terminal_problems
+from fmu_src.check.reader_process import ReaderProcess
 from fmu_src.check.rules import Problem
 from fmu_src.export.record import MEMBER
 from hesr_model.errors import ArgumentError
@@ -19,7 +20,6 @@ from hesr_model.findings import SEVERITIES, Finding, sort_by_severity
 from hesr_model.support import plugins
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.text import quote, sanitise
-from hesr_model.support.typed_files import to_json
 
 _MODEL = "modelDescription.xml"
 _BUILD = "sources/buildDescription.xml"
@@ -76,6 +76,8 @@ class Report:
 
     def to_json(self) -> dict[str, Any]:
         """Return the report as JSON data."""
+        from hesr_model.support.typed_files import to_json  # slow to import
+
         return {
             "fmu": str(self.path),
             "problems": [to_json(finding) for finding in self.problems],
@@ -97,9 +99,10 @@ def check(path: Path, *, vdmcheck: Path | None = None, kinds: Iterable[str] = ()
         folder = Path(temporary, "work")
         files.mkdir()
         folder.mkdir()
-        check_run = _CheckRun(folder, vdmcheck, kinds)
         contents = archive.unpack(path, files)
-        check_run.check(contents)
+        with ReaderProcess(folder, files, folder) as reader:
+            check_run = _CheckRun(folder, reader, vdmcheck, kinds)
+            check_run.check(contents)
     return Report(
         path=path,
         problems=tuple(sort_by_severity(check_run.problems)),
@@ -113,8 +116,11 @@ def check(path: Path, *, vdmcheck: Path | None = None, kinds: Iterable[str] = ()
 class _CheckRun:
     """Findings and skipped validators of the checks of one FMU."""
 
-    def __init__(self, folder: Path, vdmcheck: Path | None, kinds: Iterable[str]) -> None:
+    def __init__(
+        self, folder: Path, reader: ReaderProcess, vdmcheck: Path | None, kinds: Iterable[str]
+    ) -> None:
         self._folder = folder
+        self._reader = reader
         self._vdmcheck = vdmcheck
         self._kinds = kinds
         self.problems: list[Finding] = []
@@ -153,7 +159,7 @@ class _CheckRun:
             self.skipped.append(f"All other checks: {_MODEL} could not be read.")
             return
         version = str(root.get("fmiVersion", ""))
-        invalid = self._add(archive.schema_problems(_MODEL, contents.files[_MODEL], self._folder))
+        invalid = self._add(archive.schema_problems(_MODEL, contents.files[_MODEL], self._reader))
         file = contents.files.get(_BUILD)
         model_description = read_description(root, archive.parse(_BUILD, file)[0] if file else None)
         self._check_rules(model_description, contents)
@@ -183,7 +189,7 @@ class _CheckRun:
                 self._groups.add("terminal")
                 self._add(terminal_problems(connected, model_description, contents))
         self._add(sources.problems(model_description, contents))
-        self._add(binaries.problems(model_description, contents, self._folder))
+        self._add(binaries.problems(model_description, contents, self._reader))
         self.skipped += binaries.describe_unknown_platforms(model_description, contents)
 
     def _run_validators(self, contents: Contents, version: str, count: int) -> None:
@@ -193,12 +199,12 @@ class _CheckRun:
                 texts = archive.parse(name, contents.files[name])[1]
                 if self._add(texts):
                     continue
-                texts = archive.schema_problems(name, contents.files[name], self._folder)
+                texts = archive.schema_problems(name, contents.files[name], self._reader)
                 if not self._add(texts):
                     readable.append(name)
         copy = self._folder / "copy.fmu"
         external.write_copy(contents, readable, copy)
-        self._add_run(external.fmpy(copy, self._folder))
+        self._add_run(external.fmpy(copy, self._reader))
         self._groups.add("fmpy")
         if version != "2.0":
             self.skipped.append(f"VDMCheck2: it is for FMI 2.0, this is FMI {sanitise(version)}.")

@@ -4,12 +4,12 @@ import posixpath
 import re
 from collections.abc import Iterator
 from functools import cache
-from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 
 from fmu_src.check.archive import Contents
 from fmu_src.check.description import ParsedDescription
+from fmu_src.check.readers import find_package_folders
 from fmu_src.check.rules import Problem
 from hesr_model.support.text import count_noun, quote, quote_names, sanitise
 
@@ -85,9 +85,8 @@ def _find_skip_reason(name: str, file: Path) -> str | None:
 def _find_fmpy_libraries() -> dict[int, list[Path]]:
     """Return the libraries in FMPy, which containers use as their own, by size [B]."""
     libraries: dict[int, list[Path]] = {}
-    spec = find_spec("fmpy")
-    for folder in (spec.submodule_search_locations if spec else None) or ():
-        for file in sorted(Path(folder).rglob("*")):
+    for folder in find_package_folders("fmpy"):
+        for file in sorted(folder.rglob("*")):
             if file.suffix in _LIBRARIES and file.is_file():
                 libraries.setdefault(file.stat().st_size, []).append(file)
     return libraries

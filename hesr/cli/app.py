@@ -4,6 +4,7 @@ import inspect
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -14,7 +15,7 @@ from hesr.cli import console
 from hesr.cli.derive import VERBS, Function, command
 from hesr_model.errors import HesrError
 from hesr_model.support import plugins
-from hesr_model.support.progress import Interrupted
+from hesr_model.support.progress import Interrupted, drafts_passed_to
 
 if TYPE_CHECKING:
     from cosim.workflow.answer import Answer
@@ -106,22 +107,33 @@ def _invoke(function: Function, arguments: dict[str, Any]) -> None:
                 if common.listing:
                     answer = _list_choices(function)
                 else:
-                    answer = _call(function, arguments, hidden=common.quiet or common.verbose)
+                    with drafts_passed_to(partial(_write_draft, common.json_file)):
+                        answer = _call(function, arguments, hidden=common.quiet or common.verbose)
             except Interrupted as error:
                 if error.answer is None:
                     raise
                 interrupt = error
                 answer = cast("Answer", error.answer)
-            if json_file:
-                from hesr_model.support.typed_files import write_json  # slow to import
-
-                write_json(json_file, answer.to_json())
+            _write_answer(json_file, answer)
         _print(answer, verbose=common.verbose)
         if common.quiet:
             _print_errors(answer)
         if interrupt is not None:
             raise interrupt
     sys.exit(_exit_code(answer, common.fail_on))
+
+
+def _write_answer(json_file: Path | None, answer: "Answer") -> None:
+    if json_file:
+        from hesr_model.support.typed_files import write_json  # slow to import
+
+        write_json(json_file, answer.to_json())
+
+
+def _write_draft(json_file: Path | None, draft: object) -> None:
+    """Write the answer so far; standard output takes one answer only."""
+    if json_file != console.STANDARD_OUTPUT:
+        _write_answer(json_file, cast("Answer", draft))
 
 
 def _print(answer: "Answer", *, verbose: bool) -> None:

@@ -171,7 +171,7 @@ def _replace_unencodable(error: UnicodeError) -> tuple[str, int]:
 
 
 INTERRUPTED = 130  # exit codes after signals: 128 and the number of the signal
-_STANDARD_OUTPUT = Path("-")
+STANDARD_OUTPUT = Path("-")
 _MIN_INTERRUPT_INTERVAL = 2.0  # [s] within this time a second Ctrl-C does not disturb the clean-up
 _REPEAT_DELAY = 0.05  # [s] delay before an interrupt that Python dropped is raised again
 _PACKAGES = ("hesr_model", "fmu_src", "cosim", "hesr")
@@ -193,7 +193,7 @@ def direct_output(*, quiet: bool, verbose: bool, json_file: Path | None) -> Iter
     with ExitStack() as cleanup:
         answer_stream = None if quiet else sys.stdout
         cleanup.enter_context(_configure_logging(quiet=quiet, verbose=verbose))
-        if quiet or json_file == _STANDARD_OUTPUT:
+        if quiet or json_file == STANDARD_OUTPUT:
             nowhere = cleanup.enter_context(Path(os.devnull).open("w", encoding="utf-8"))
             cleanup.enter_context(redirect_stdout(nowhere))
         try:
@@ -370,7 +370,7 @@ def provide_answer_file(json_file: Path | None, output: TextIO | None) -> Iterat
     """Yield the file for the JSON answer, if one is requested; `output` is that of ``-``."""
     if json_file is None:
         yield None
-    elif json_file == _STANDARD_OUTPUT:
+    elif json_file == STANDARD_OUTPUT:
         with scratch_folder() as folder:
             answer_path = Path(folder) / "answer.json"
             yield answer_path

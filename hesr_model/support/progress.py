@@ -160,6 +160,24 @@ def deferred() -> Iterator[None]:
             signal.raise_signal(received_signals[0])
 
 
+_take_draft: ContextVar[Callable[[object], None]] = ContextVar("_take_draft", default=silent)
+
+
+def publish_draft(answer: object) -> None:
+    """Pass the answer of a command so far to `drafts_passed_to`, in case the command is killed."""
+    _take_draft.get()(answer)
+
+
+@contextmanager
+def drafts_passed_to(take_draft: Callable[[object], None]) -> Iterator[None]:
+    """Pass the answers of `publish_draft` to `take_draft` within the block."""
+    token = _take_draft.set(take_draft)
+    try:
+        yield
+    finally:
+        _take_draft.reset(token)
+
+
 class Interrupted(KeyboardInterrupt):
     """Interrupt of work; `resume_hint` says what is kept or how it can be continued.
 

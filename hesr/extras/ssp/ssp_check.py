@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 from cosim.systems.wiring import Wiring
 from fmu_src.check import archive
 from fmu_src.check.archive import Contents
+from fmu_src.check.reader_process import ReaderProcess
 from fmu_src.check.rules import Problem, findings
 from fmu_src.check.run import Report, check
 from fmu_src.export.record import MEMBER
@@ -30,9 +31,9 @@ def check_ssp(path: Path, *, vdmcheck: Path | None = None) -> Report:
         folder.mkdir()
         contents = archive.unpack(path, files)
         changes = list(archive.compare_with_record(contents))
-        ssp_findings = findings(
-            [*contents.problems, *changes, *_check_xml_members(contents, folder)]
-        )
+        with ReaderProcess(folder, files) as reader:
+            xml_problems = list(_check_xml_members(contents, reader))
+        ssp_findings = findings([*contents.problems, *changes, *xml_problems])
         if not any(finding.severity == "error" for finding in ssp_findings):
             ssp_findings += findings(_check_structure(path))
         platforms: list[tuple[str, ...]] = []  # of each FMU
@@ -62,7 +63,7 @@ def _find_shared_platforms(platforms: Sequence[tuple[str, ...]]) -> tuple[str, .
     )
 
 
-def _check_xml_members(contents: Contents, folder: Path) -> Iterator[Problem]:
+def _check_xml_members(contents: Contents, reader: ReaderProcess) -> Iterator[Problem]:
     if contents.names and SSD not in contents.names:
         yield "xml-unreadable", f"{SSD} is missing."
     for name, file in contents.files.items():
@@ -71,7 +72,7 @@ def _check_xml_members(contents: Contents, folder: Path) -> Iterator[Problem]:
         root, problems = archive.parse(name, file)
         yield from problems
         if root is not None:
-            yield from archive.schema_problems(name, file, folder)
+            yield from archive.schema_problems(name, file, reader)
 
 
 def _check_structure(path: Path) -> Iterator[Problem]:

@@ -233,8 +233,8 @@ def test_static_libraries_and_their_folders_are_ignored(table1_fmu, tmp_path):
 
 
 def test_a_library_that_hangs_is_reported(of, monkeypatch, table1_fmu):
-    monkeypatch.setattr(binaries, "READER_TIMEOUT", 0.001)
-    assert of(members(table1_fmu)[BINARY]) == [Containing("gave no answer within 0.001 s")]
+    monkeypatch.setattr(binaries, "READER_TIMEOUT", 0.0)
+    assert of(members(table1_fmu)[BINARY]) == [Containing("gave no answer within 0 s")]
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ import pytest
 from containing import Containing
 from fmu_files import changed
 from plugin_packages import lay_package
+from rule_changes import put
 
 from cosim.workflow.check import check
 from fmu_src import export_fmu
@@ -156,6 +157,33 @@ def test_an_interrupted_check_keeps_what_was_found(source_fmu, tmp_path):
     assert [report["fmu"] for report in result] == checked
     suites = ElementTree.parse(tmp_path / "o.xml").findall("testsuite")
     assert [suite.get("name") for suite in suites] == checked
+
+
+def test_a_killed_check_leaves_complete_files_of_what_was_found(source_fmu, tmp_path):
+    """Files may lag by a few checks: writing them takes at most a tenth of the time."""
+    bad = changed(
+        source_fmu, tmp_path / "Bad.fmu", put("DefaultExperiment", tolerance="-1")
+    ).read_bytes()
+    copies = [tmp_path / f"F{k}.fmu" for k in range(40)]
+    for copy in copies:
+        copy.write_bytes(bad)
+    files = {kind: tmp_path / f"o.{kind}" for kind in ("json", "junit", "sarif")}
+    options = [part for kind, file in files.items() for part in (f"--{kind}", file)]
+    command = [sys.executable, "-c", "from hesr.cli import main; main()", "check", *copies]
+    process = subprocess.Popen(
+        [*map(str, [*command, *options])], stderr=subprocess.PIPE, text=True, encoding="utf-8"
+    )
+    assert process.stderr is not None
+    for copy in copies[:20]:
+        assert process.stderr.readline() == Containing(str(copy), "[experiment-times]")
+    process.kill()
+    process.communicate(timeout=60)
+    result = json.loads(files["json"].read_text(encoding="utf-8"))["result"]
+    suites = ElementTree.parse(files["junit"]).findall("testsuite")
+    (run,) = json.loads(files["sarif"].read_text(encoding="utf-8"))["runs"]
+    for count in (len(result), len(suites), len(run["results"])):
+        assert 10 <= count < 40
+    assert [report["fmu"] for report in result] == list(map(str, copies))[: len(result)]
 
 
 def test_a_folder_without_vdmcheck2_is_reported(source_fmu):

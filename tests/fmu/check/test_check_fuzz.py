@@ -8,7 +8,7 @@ from fmu_files import MODEL, members
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fmu_src.check import archive, binaries, external
+from fmu_src.check.reader_process import ReaderProcess
 from fmu_src.check.run import Report, check
 from hesr_model.support.process import DiedError
 
@@ -23,11 +23,10 @@ QUIET = settings(
 def alone(monkeypatch):
     """Start no other processes; their work does not depend on the bytes of the archive."""
 
-    def not_run(function, *arguments, folder, seconds, modules=()):
+    def not_run(*_arguments):
         raise DiedError("was not run")
 
-    for module in (archive, binaries, external):
-        monkeypatch.setattr(module, "run_in_child", not_run)
+    monkeypatch.setattr(ReaderProcess, "run", not_run)
 
 
 @pytest.fixture(scope="module")
