@@ -14,7 +14,7 @@ KINDS = {"ModelExchange": "model exchange", "CoSimulation": "co-simulation"}
 STRUCTURE = ("Outputs", "Derivatives", "InitialUnknowns")  # lists of ModelStructure
 FLOATS = ("Float32", "Float64")  # types of FMI 3.0 that may be continuous
 _TYPES = ("Real", "Integer", "Boolean", "String", "Enumeration")
-_INTEGER = re.compile(r"[+-]?[0-9]{1,18}")
+_INTEGER = re.compile(r"[+-]?[0-9]{1,20}")  # UInt64 has up to 20 digits
 _REAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?|[+-]?INF|NaN")
 
 

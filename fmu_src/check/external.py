@@ -23,6 +23,7 @@ NO_VDMCHECK = "VDMCheck2: no folder of it is given."
 _MAX_MESSAGE_LENGTH = 1000  # characters of a message: FMPy lists all unknowns in one
 _RULE = re.compile(r"(\w+): (.+)")
 _SETS = re.compile(r"Expected \{(.*)\} but was \{(.*)\}")
+_DISPLAY_UNIT = re.compile(r"The display unit .* of (the )?variable .* is not defined\.")
 _LINE = re.compile(r" at \w+\.xml:(\d+)$")
 
 
@@ -42,12 +43,17 @@ def fmpy(copy: Path, reader: ReaderProcess) -> tuple[list[Problem], list[str]]:
         messages, failure = reader.run("fmu_src.check.readers:validate", copy, FMPY_SECONDS)
     except DiedError as error:
         return [], [f"FMPy {error}."]
-    problems = [("fmpy", _add_difference(text)) for text in messages]
+    problems = [(_choose_rule(text), _add_difference(text)) for text in messages]
     if failure:
         problems = [
             ("fmpy-failed", f"FMPy cannot read the description ({sanitise(failure, 400)}).")
         ]
     return problems, []
+
+
+def _choose_rule(text: str) -> str:
+    """Return the rule of a message; importers ignore display units that are not defined."""
+    return "unit-ignored" if _DISPLAY_UNIT.fullmatch(text) else "fmpy"
 
 
 def _add_difference(text: str) -> str:

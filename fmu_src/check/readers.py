@@ -1,6 +1,7 @@
 """Readers of untrusted files, run in the sandbox so that no file can stall a check."""
 
 import re
+import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib.util import find_spec
 from itertools import islice
@@ -53,6 +54,8 @@ def validate(file: str) -> tuple[list[str], str]:
     except Exception as error:
         # FMPy raises bare exceptions for violations; others are its own faults.
         reason = str(error) or type(error).__name__
+        if _is_unread_type(reason, file):
+            return [], reason
         problems = getattr(error, "problems", [reason] if type(error) is Exception else [])
         return problems, "" if problems else f"{type(error).__name__}: {reason}"
     return [
@@ -60,6 +63,23 @@ def validate(file: str) -> tuple[list[str], str]:
     ], ""
 
 
+_UNDEFINED = re.compile(r'Variable .* has declaredType="(.*)" which has not been defined\.')
+
+
+def _is_unread_type(reason: str, file: str) -> bool:
+    """Whether a type that FMPy calls undefined is defined; it skips ClockType."""
+    undefined = _UNDEFINED.fullmatch(reason)
+    if undefined is None:
+        return False
+    from lxml import etree
+
+    with zipfile.ZipFile(file) as archive:
+        parser = etree.XMLParser(resolve_entities=False, no_network=True)
+        root = etree.fromstring(archive.read("modelDescription.xml"), parser)
+    return any(clock.get("name") == undefined[1] for clock in root.iterfind(_CLOCK_TYPES))
+
+
+_CLOCK_TYPES = "TypeDefinitions/ClockType"
 _PART = r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?"
 _LEGAL = re.compile(rf"{_PART}(\.{_PART})*|der\({_PART}(\.{_PART})*(,\d+)?\)", re.ASCII)
 _INITIAL = re.compile(r"ModelStructure/InitialUnknowns .*Expected \{(.*)\} but was \{(.*)\}\.")
@@ -70,7 +90,7 @@ def _is_fmi_3_only(problem: str, exempt: set[str]) -> bool:
     sets = _INITIAL.fullmatch(problem)
     if not sets:
         return False
-    expected, actual = (set(names.split(", ")) for names in sets.groups())
+    expected, actual = (set(names.split(", ")) - {""} for names in sets.groups())
     return expected - exempt == actual - exempt
 
 

@@ -78,6 +78,7 @@ RULES: Mapping[str, Rule] = {
     "experiment-times": Rule("warning", "stop time, step or tolerance out of range", _EXPERIMENT),
     "experiment-step": Rule("advice", "a step longer than the experiment", _EXPERIMENT),
     "unit-twice": Rule("error", "units or display units defined twice", _UNITS),
+    "unit-ignored": Rule("advice", "display units that are not defined", _VARIABLES),
     "type-twice": Rule("error", "types, items or values defined twice", _TYPES),
     "type-name": Rule("error", "types with the name of a variable", _TYPES),
     "category-twice": Rule("error", "log categories defined twice", "FMI 2: 2.2.4; FMI 3: 2.4.5"),

@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
+import fmu_cases
 import pytest
 from fmu_files import MODEL, Xml, changed, write
 from rule_changes import PARAMETER, both, enumeration, new, own, put, unknown, var
@@ -63,6 +64,14 @@ def test_violations_have_their_severity(change, files, source_fmu, tmp_path, req
     name, severity = request.node.callspec.id.split(" ")
     report = check(changed(source_fmu, tmp_path / "F.fmu", change, files))
     assert {f.severity for f in report.problems if f.check.partition(":")[0] == name} == {severity}
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize(("case", "files"), fmu_cases.VIOLATIONS.items())
+def test_planted_violations_are_found(case, files, tmp_path):
+    name, severity = case.split(" ")
+    found = check(write(tmp_path / "F.fmu", files)).problems
+    assert {f.severity for f in found if f.check.partition(":")[0] == name} == {severity}
 
 
 CLOCKS = FMI_3.replace(
@@ -151,6 +160,19 @@ def test_unusual_fmus_have_no_error(made, source_fmu, tmp_path):
     path = write(path, made) if isinstance(made, dict) else changed(source_fmu, path, made)
     found = check(path).problems
     assert [f for f in found if f.severity != "advice"] == []
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("case", fmu_cases.UNUSUAL)
+def test_correct_fmus_have_neither_error_nor_warning(case, tmp_path):
+    found = check(write(tmp_path / "F.fmu", fmu_cases.UNUSUAL[case])).problems
+    assert [f for f in found if f.severity != "advice"] == []
+
+
+@pytest.mark.parametrize("case", fmu_cases.UNREAD_BY_FMPY)
+def test_correct_fmus_that_fmpy_cannot_read_have_a_warning(case, tmp_path):
+    found = check(write(tmp_path / "F.fmu", fmu_cases.UNREAD_BY_FMPY[case])).problems
+    assert [(f.check, f.severity) for f in found] == [("fmpy-failed", "warning")]
 
 
 def test_the_page_lists_every_rule():
