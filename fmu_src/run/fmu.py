@@ -162,9 +162,16 @@ class FmuInstance:
     def _failure(self, error: Exception) -> SimulationError:
         self._stepping = False
         self.failed = True
-        reason, self._complaint = self._complaint or str(error), None
         if isinstance(error, DiedError):  # messages do not explain it
             reason = f"{error}."
+        elif self._complaint is not None:
+            reason = " ".join(self._complaint.split())
+        elif self.messages:  # some tools log reasons without the status of an error
+            message = " ".join(self.messages[-1].split())
+            reason = f"{str(error).rstrip('.')}; its last message is: {message}"
+        else:
+            reason = str(error)
+        self._complaint = None
         return SimulationError(
             f"{self.fmu.name} ('{self.name}') at t = {self.time:.9g} s: {reason}"
         )

@@ -3,6 +3,7 @@
 import csv
 import re
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -171,17 +172,16 @@ ENDS_EARLY = {
 """Changes of C sources by which the step that begins at 0.3 s ends the simulation."""
 
 
-@pytest.mark.parametrize("fmi", [2, 3])
-def test_an_fmu_that_ends_its_run_early_says_so(fmi: Any, tmp_path: Path, run: Hesr) -> None:
-    whole = lag(tmp_path, fmi)
+def rebuild(whole: Path, changed_files: Mapping[str, Any], path: Path) -> Path:
+    """Write an FMU from one of ours with changed C sources, patterns with replacements."""
     with zipfile.ZipFile(whole) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
-    folder = tmp_path / "sources"
+    folder = path.with_suffix("")
     folder.mkdir()
     for name, content in members.items():
         if name.startswith("sources/"):
             (folder / Path(name).name).write_bytes(content)
-    for name, changes in ENDS_EARLY[fmi].items():
+    for name, changes in changed_files.items():
         text = (folder / name).read_text(encoding="utf-8")
         for pattern, to in changes:
             text, count = re.subn(pattern if "\\(" in pattern else re.escape(pattern), to, text)
@@ -189,13 +189,56 @@ def test_an_fmu_that_ends_its_run_early_says_so(fmi: Any, tmp_path: Path, run: H
         (folder / name).write_text(text, encoding="utf-8")
     library = next(n for n in members if n.startswith("binaries/") and n.endswith(".so"))
     members[library] = build(folder / "all.c", "lag", TARGETS["linux64"])
-    early = archived(members, tmp_path / "Early.fmu")
+    return archived(members, path)
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_an_fmu_that_ends_its_run_early_says_so(fmi: Any, tmp_path: Path, run: Hesr) -> None:
+    early = rebuild(lag(tmp_path, fmi), ENDS_EARLY[fmi], tmp_path / "Early.fmu")
     output = tmp_path / "out.csv"
     answer = run("simulate", early, "--stop", "1", "--step", "0.1", "-o", output)
     said = " ".join(answer.err.split())
     assert answer.code == 2
     assert f"at t = 0.3 s: fmi{fmi}DoStep requested termination; the results so far" in said
     assert len(output.read_text(encoding="utf-8").splitlines()) == 5  # heading, 0 to 0.3 s
+
+
+LOGS_AND_FAILS = {
+    "fmi2_step.c": (
+        (
+            r"\(fmi2DoStep\)[^;{]*\{",
+            r"""\g<0> if (time > 0.25) {
+                Instance *failed = c;
+                failed->host.logger(failed->host.componentEnvironment, "a", STATUS, "info",
+                                    "Valve 7 is stuck.");
+                return fmi2Error;
+            }""",
+        ),
+    )
+}
+"""A change of C sources by which the step that begins at 0.3 s logs with a status, then fails."""
+
+
+@pytest.mark.parametrize(
+    ("status", "reason"),
+    [
+        ("fmi2Error", "Valve 7 is stuck."),
+        (
+            "fmi2OK",
+            "fmi2DoStep failed with status 3 (error); its last message is: Valve 7 is stuck.",
+        ),
+    ],
+)
+@pytest.mark.parametrize("trust", [True, False])
+def test_a_failed_call_shows_the_message_of_the_fmu(
+    trust: bool, status: str, reason: str, lag_fmu: Path, tmp_path: Path
+) -> None:
+    ((pattern, failure),) = LOGS_AND_FAILS["fmi2_step.c"]
+    changed_files = {"fmi2_step.c": ((pattern, failure.replace("STATUS", status)),)}
+    fmu = rebuild(lag_fmu, changed_files, tmp_path / "Failing.fmu")
+    with pytest.raises(SimulationError) as error:
+        hesr.simulate(fmu, stop=1.0, step=0.1, trust=trust)
+    assert str(error.value).startswith(f"Failing.fmu ('fmu') at t = 0.3 s: {reason}")
 
 
 INTEGERS = {

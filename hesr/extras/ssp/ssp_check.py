@@ -35,7 +35,7 @@ def check_ssp(path: Path, *, vdmcheck: Path | None = None) -> Report:
             xml_problems = list(_check_xml_members(contents, reader))
         ssp_findings = findings([*contents.problems, *changes, *xml_problems])
         if not any(finding.severity == "error" for finding in ssp_findings):
-            ssp_findings += findings(_check_structure(path))
+            ssp_findings += findings(_check_structure(path, contents))
         platforms: list[tuple[str, ...]] = []  # of each FMU
         for name, file in contents.files.items():
             if name.lower().endswith(".fmu"):
@@ -75,9 +75,17 @@ def _check_xml_members(contents: Contents, reader: ReaderProcess) -> Iterator[Pr
             yield from archive.schema_problems(name, file, reader)
 
 
-def _check_structure(path: Path) -> Iterator[Problem]:
+def _has_stop_time(contents: Contents) -> bool:
+    root, _ = archive.parse(SSD, contents.files[SSD])
+    experiment = None if root is None else root.find("{*}DefaultExperiment")
+    return experiment is not None and "stopTime" in experiment.attrib
+
+
+def _check_structure(path: Path, contents: Contents) -> Iterator[Problem]:
+    # Without times of its own, a system is complete all the same.
+    times = {} if _has_stop_time(contents) else {"start": 0.0, "stop": 1.0}
     try:
-        with open_ssp(path, {"stop": 1.0, "step": 1.0, "start": 0.0}, {}) as system:
+        with open_ssp(path, times, {}) as system:
             descriptions = {
                 component.name: (component.fmu, model_description(component.fmu))
                 for component in system.components

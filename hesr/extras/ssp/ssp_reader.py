@@ -4,15 +4,16 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from math import ceil
+from math import ceil, isfinite
 from pathlib import Path
 from posixpath import normpath
-from typing import Any
+from typing import Any, get_args
 from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
 from cosim.systems.system import Conversion, SystemSpec
 from fmu_src.run.archive import MAX_ENTRY_BYTES, MAX_TEXT_BYTES, Archive
+from fmu_src.run.master import Order
 from fmu_src.run.variables import Variables, model_description
 from hesr.extras.ssp.contents import (
     COUPLING,
@@ -36,10 +37,12 @@ from hesr.extras.ssp.ssp_graph import (
     read_transformation,
     safe_names,
 )
+from hesr.extras.ssp.ssp_times import fit_hint, fit_stop, read_step, require_times
 from hesr.extras.ssp.vocabulary import IRRELEVANT, USED
 from hesr_model.errors import ArgumentError, ConfigError, HesrError, SimulationError
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.ledger import Ledger
+from hesr_model.support.text import join_with_or
 from hesr_model.support.xml_files import parse_xml
 
 _PREFIXES = {key.removeprefix("xmlns:"): uri for key, uri in NAMESPACES.items()}
@@ -102,7 +105,10 @@ class _Reader:
         """Return an error with the names of FMUs in the SSP instead of where they were unpacked."""
         sentence = str(error)
         for element_path, fmu in self.fmus.items():
-            sentence = sentence.replace(str(fmu), self.sources[element_path])
+            source = self.sources[element_path]
+            sentence = sentence.replace(str(fmu), source)
+            if sentence.startswith(f"{source}: "):
+                sentence = f"{self.path}: {sentence}"
         return type(error)(sentence, code=error.code, where=error.where, key=error.key)
 
     def build_error(self, text: str) -> ConfigError:
@@ -150,6 +156,8 @@ class _Reader:
             system, (), read_units(_find_elements(root, "ssd:Units/ssc:Unit"), where)
         )
         self.apply_parameters(system, ())
+        if not self.fmus:
+            raise self.build_refusal(f"{SSD} contains no FMU; a system without any is")
         self.parameters.require_nothing_meant()
         for name, value in start_values.items():
             if not self.assign((), name, ParameterValue(value=value)):
@@ -182,9 +190,15 @@ class _Reader:
             signal = self.name_signal(component_names[element_path], connector)
             system_outputs[output] = {"signal": signal, "conversions": conversion_steps}
             observed.append(signal)
+        run_times = self.choose_times(root, times)
+        steps = {}
+        for element_path, hint in self.steps.items():
+            where = f"{self.path}: StepSizeHint of '{'.'.join(element_path)}'"
+            if (step_size := fit_hint(hint, run_times["step"], where)) is not None:
+                steps[element_path] = step_size
         return {
             "name": root.get("name", self.path.stem),
-            **self.choose_times(root, times),
+            **run_times,
             **self.read_order(system),
             "components": [
                 {
@@ -192,7 +206,7 @@ class _Reader:
                     "fmu": fmu,
                     "start": self.start_values.get(element_path, {}),
                 }
-                | ({"step": self.steps[element_path]} if element_path in self.steps else {})
+                | ({"step": steps[element_path]} if element_path in steps else {})
                 for element_path, fmu in self.fmus.items()
             ],
             "connections": connections,
@@ -219,13 +233,17 @@ class _Reader:
         stop_time = (
             read_number(experiment_node, "stopTime", 0.0, SSD) if stop_time is None else stop_time
         )
+        require_times(start_time, stop_time, str(self.path))
         step_size = times.get("step")
         if step_size is not None:
+            read_step(f"{step_size:g}", f"{self.path}: 'step'")
             return {"begin": start_time, "stop": stop_time, "step": step_size}
         for tag, key in _STEP_ANNOTATIONS:
             node = root.find(tag)
             if node is not None and (text := node.get(key)):
-                return {"begin": start_time, "stop": stop_time, "step": text}
+                step_size = read_step(text, f"{self.path}: {SSD}: {key}")
+                stop_time = fit_stop(start_time, stop_time, step_size, str(self.path))
+                return {"begin": start_time, "stop": stop_time, "step": step_size}
         steps = [
             float(model_description_.defaultExperiment.stepSize)
             for fmu in self.fmus.values()
@@ -242,7 +260,13 @@ class _Reader:
     def read_order(self, system: ET.Element) -> dict[str, str]:
         """Return the order of the coupling in our annotation; SSPs of other tools have none."""
         coupling = _find_element(system, _COUPLING)
-        return {} if coupling is None else {"order": self.read_attribute(coupling, "order", SSD)}
+        if coupling is None:
+            return {}
+        order = self.read_attribute(coupling, "order", SSD)
+        if order not in get_args(Order):
+            orders = join_with_or(get_args(Order))
+            raise self.build_error(f"the order of its coupling is '{order}'; it must be {orders}.")
+        return {"order": order}
 
     def read_elements(
         self, system: ET.Element, parent_path: ElementPath, units: Mapping[str, Any]
@@ -282,11 +306,12 @@ class _Reader:
         try:
             description = model_description(fmu)
         except SimulationError as error:
-            raise SimulationError(f"{self.path}: {where}: {error}") from error
-        if description.coSimulation is None or description.fmiVersion not in ("2.0", "3.0"):
-            raise self.build_refusal(
-                f"{where} is of FMI {description.fmiVersion} or for model exchange only, which is"
-            )
+            sentence = str(error).replace(str(fmu), source)
+            raise SimulationError(f"{self.path}: {where}: {sentence}") from error
+        if description.fmiVersion not in ("2.0", "3.0"):
+            raise self.build_refusal(f"{where} is of FMI {description.fmiVersion}, which is")
+        if description.coSimulation is None:
+            raise self.build_refusal(f"{where} is for model exchange only, which is")
         self.fmus[element_path] = fmu
         self.sources[element_path] = source
         self.graph.variables[element_path] = Variables(Path(source), description)
@@ -498,6 +523,8 @@ class _Reader:
                 raise self.build_error(
                     f"{where} is '{text}', which is not of type {kind}{hint}."
                 ) from error
+            if not isfinite(number):
+                raise self.build_error(f"{where} is '{text}'; it must be a finite number.")
             unit_name = node.get("unit")
             return ParameterValue(
                 value=number, unit=(unit_name, units.get(unit_name)) if unit_name else None

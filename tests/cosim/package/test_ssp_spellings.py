@@ -1,5 +1,6 @@
 """SSPs as other tools spell them: names of the system, units, paths, prefixes, values, loops."""
 
+import io
 import re
 import zipfile
 from collections.abc import Callable
@@ -11,6 +12,10 @@ from containing import OneSentence
 from small_study import Hesr
 
 import hesr as interface
+from cosim.systems.system import open_system
+from fmu_src.run.archive import Archive
+from fmu_src.run.variables import Variables, read_packed_description
+from hesr_model.errors import SimulationError
 
 SSP = "http://ssp-standard.org/SSP1/SystemStructure"
 PARTS = ("Common", "Description", "ParameterValues")
@@ -45,7 +50,9 @@ Write = Callable[..., Path]
 def write(tmp_path: Path, lag_fmu: Path) -> Write:
     """Write an SSP with a text of its files replaced, and folders separated by a mark."""
 
-    def make(*changes: tuple[str, str], separator: str = "/") -> Path:
+    def make(
+        *changes: tuple[str, str], separator: str = "/", fmu: bytes = lag_fmu.read_bytes()
+    ) -> Path:
         files = {"SystemStructure.ssd": SSD, "resources/own.ssv": SET}
         for old, new in changes:
             assert any(old in text for text in files.values())
@@ -54,7 +61,7 @@ def write(tmp_path: Path, lag_fmu: Path) -> Write:
         with zipfile.ZipFile(path, "w") as archive:
             for name, text in files.items():
                 archive.writestr(name.replace("/", separator), text)
-            archive.writestr(f"resources{separator}Lag.fmu", lag_fmu.read_bytes())
+            archive.writestr(f"resources{separator}Lag.fmu", fmu)
         return path
 
     return make
@@ -110,6 +117,138 @@ def test_values_that_cannot_be_read_are_refused(
     assert answer.code == 2
     assert answer.err == OneSentence(sentence)
     assert "files/" not in answer.err  # no folder where it was unpacked
+
+
+ALGORITHM = """<ssd:DefaultExperiment startTime="0" stopTime="1"><ssd:Annotations>
+<ssc:Annotation type="com.opensimulationplatform"><osp:FixedStepAlgorithm xmlns:osp="urn:osp"
+baseStepSize="BASE"/></ssc:Annotation></ssd:Annotations></ssd:DefaultExperiment>"""
+EXPERIMENT = '<ssd:DefaultExperiment startTime="0" stopTime="1"/>'
+HINT = """<ssd:Annotations><ssc:Annotation type="com.opensimulationplatform"><osp:StepSizeHint
+xmlns:osp="urn:osp" value="HINT"/></ssc:Annotation></ssd:Annotations></ssd:Component>"""
+COUPLING = """<ssd:Annotations><ssc:Annotation type="hesr.coupling"><c:Coupling
+xmlns:c="urn:hesr:coupling:1" order="random"/></ssc:Annotation></ssd:Annotations></ssd:System>"""
+
+
+def set_steps(base: str, hint: str) -> tuple[tuple[str, str], ...]:
+    """Return the changes of an SSD with a step [s] of the system and of its component."""
+    steps = (EXPERIMENT, ALGORITHM.replace("BASE", base))
+    return steps, ("</ssd:Component>", HINT.replace("HINT", hint))
+
+
+@pytest.mark.parametrize(
+    ("base", "hint", "count", "warning"),
+    [
+        ("0.1", "0.2", 11, ""),
+        ("0.1", "0.25", 11, "is no multiple"),
+        ("0.1", "0", 11, ""),
+        ("0.3", "0.3", 4, "the run ends at 0.9 s"),
+    ],
+)
+def test_systems_of_several_steps_run(
+    base: str, hint: str, count: int, warning: str, write: Write, hesr: Hesr, tmp_path: Path
+) -> None:
+    output = tmp_path / "x.csv"
+    answer = hesr("simulate", write(*set_steps(base, hint)), "-o", output)
+    assert answer.code == 0, answer.err
+    assert len(output.read_text(encoding="utf-8").splitlines()) == count + 1
+    assert (warning in answer.err) if warning else not answer.err
+    assert hesr("check", write(*set_steps(base, hint)), "--fail-on", "warning").code == 0
+
+
+NO_FMU = ((SSD[SSD.index("<ssd:Elements>") : SSD.index("</ssd:System>")], ""),)
+REFUSALS: dict[str, tuple[tuple[tuple[str, str], ...], str]] = {
+    "no FMU": (NO_FMU, "SystemStructure.ssd contains no FMU"),
+    "base step": (set_steps("fast", "1"), "baseStepSize is 'fast'; it must be a positive number"),
+    "hint": (set_steps("0.1", "slow"), "StepSizeHint of 'a' is 'slow'; it must be a positive"),
+    "times": ((('stopTime="1"', 'stopTime="-1"'),), "it stops at -1 s and starts at 0 s."),
+    "order": ((("</ssd:System>", COUPLING),), "is 'random'; it must be gauss_seidel or jacobi."),
+    "infinite": ((("0.25", "INF"),), "parameter 'T' is 'INF'; it must be a finite number."),
+}
+
+
+@pytest.mark.parametrize(("changes", "sentence"), REFUSALS.values(), ids=REFUSALS)
+def test_systems_that_cannot_run_are_refused_in_plain_words(
+    changes: tuple[tuple[str, str], ...], sentence: str, write: Write, hesr: Hesr, tmp_path: Path
+) -> None:
+    path = write(*changes)
+    answer = hesr("simulate", path, "-o", tmp_path / "x.csv")
+    assert answer.code == 2
+    assert answer.err == OneSentence(f"hesr: {path}: ", sentence)
+    assert "nput should" not in answer.err  # words of a library
+
+
+def edit_fmu(fmu: Path, *changes: tuple[str, str]) -> bytes:
+    """Return an FMU without binaries and with its description changed by patterns."""
+    content = io.BytesIO()
+    with zipfile.ZipFile(fmu) as old, zipfile.ZipFile(content, "w") as new:
+        text = old.read("modelDescription.xml").decode()
+        for pattern, replacement in changes:
+            text = re.sub(pattern, replacement, text, flags=re.DOTALL)
+        new.writestr("modelDescription.xml", text)
+    return content.getvalue()
+
+
+FMUS = {
+    "no archive": (None, "not a readable FMU"),
+    "no binary": ((), "has no binary for this platform"),
+    "cut": (((r"<ModelVariables>.*", ""),), "not a readable FMU"),
+    "identifier": (((r'modelIdentifier="\w+"', 'modelIdentifier="../x"'),), "is '../x'; expected"),
+    "model exchange": (((r"<CoSimulation.*</CoSimulation>", ""),), "for model exchange only"),
+}
+
+
+@pytest.mark.parametrize(("changes", "sentence"), FMUS.values(), ids=FMUS)
+def test_fmus_are_named_as_in_the_ssp(
+    changes: tuple[tuple[str, str], ...] | None,
+    sentence: str,
+    lag_fmu: Path,
+    write: Write,
+    hesr: Hesr,
+    tmp_path: Path,
+) -> None:
+    fmu = b"no archive" if changes is None else edit_fmu(lag_fmu, *changes)
+    path = write(fmu=fmu)
+    answer = hesr("simulate", path, "-o", tmp_path / "x.csv")
+    assert answer.code == 2
+    assert answer.err == OneSentence(f"hesr: {path}: ", sentence)
+    assert "files/" not in answer.err  # no folder where it was unpacked
+
+
+TYPED = b"""<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="3.0" modelName="m" instantiationToken="1">
+<CoSimulation modelIdentifier="m"/><TypeDefinitions><EnumerationType name="Mode">
+<Item name="slow" value="1"/><Item name="very fast" value="5000000000"/></EnumerationType>
+</TypeDefinitions><ModelVariables>
+<Float64 name="u" valueReference="1" causality="input" start="0"/>
+<Float64 name="y" valueReference="2" causality="output"/>
+<Enumeration name="T" valueReference="3" causality="parameter" variability="fixed"
+  declaredType="Mode" start="1"/></ModelVariables><ModelStructure/></fmiModelDescription>"""
+
+
+def read_start(path: Path, values: dict[str, str]) -> dict[str, float | str]:
+    """Return the start values of the only component as its FMU takes them."""
+    with open_system(path, {}, values) as system:
+        (component,) = system.components
+        with Archive(component.fmu) as archive:
+            description, declared = read_packed_description(archive)
+        return Variables(component.fmu, description, declared).expand_values(component.start)
+
+
+@pytest.mark.parametrize(("value", "number"), [("slow", 1), ("very fast", 5000000000)])
+def test_enumerations_of_fmi_3_are_set_by_name(value: str, number: int, write: Write) -> None:
+    """By a parameter set, and by the user."""
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as archive:
+        archive.writestr("modelDescription.xml", TYPED)
+
+    def name_choice(choice: str) -> Path:
+        named = f'<ssv:Enumeration value="{choice}"/>'
+        return write(('<ssv:Real value="0.25" unit="s"/>', named), fmu=content.getvalue())
+
+    assert read_start(name_choice(value), {}) == {"T": number}
+    assert read_start(name_choice("slow"), {"a.T": value}) == {"T": number}
+    with pytest.raises(SimulationError, match="cannot be 'fast'; it must be one of slow, very"):
+        read_start(name_choice("fast"), {})
 
 
 LOOP = """
