@@ -104,10 +104,34 @@ def compare(file: str) -> list[tuple[int, str, str]]:
         return []
     schema = etree.XMLSchema(file=str(schema_path))
     schema.validate(root)
+    version = 3 if root.get("fmiVersion", "").startswith("3.") else 2
     return [
-        (e.line, e.type_name.removeprefix("SCHEMAV_").lower(), str(e.message)[:1000])
+        (
+            e.line,
+            e.type_name.removeprefix("SCHEMAV_").lower(),
+            _add_suggestion(str(e.message)[:1000], version),
+        )
         for e in islice(schema.error_log, MAX_ERRORS)
     ]
+
+
+_NOT_ALLOWED = re.compile(r"Element '(\w+)', attribute '(\w+)': The attribute .* is not allowed\.")
+_NOT_EXPECTED = re.compile(
+    r"Element '(\w+)': This element is not expected\. Expected is (?:one of )?\( (.*) \)\."
+)
+
+
+def _add_suggestion(message: str, version: int) -> str:
+    """Return a message of the schema with the names of FMI that may have been meant."""
+    from fmu_src.run.vocabulary import suggest_names
+    from hesr_model.support.ledger import find_close_names, format_suggestion
+
+    suggestion = ""
+    if match := _NOT_ALLOWED.fullmatch(message):
+        suggestion = suggest_names(version, match[1], match[2])
+    elif match := _NOT_EXPECTED.fullmatch(message):
+        suggestion = format_suggestion(find_close_names(match[1], match[2].split(", ")))
+    return f"{message} D{suggestion[1:]}" if suggestion else message
 
 
 def find_schema(tag: str, attributes: Mapping[str, str]) -> Path | None:

@@ -21,12 +21,15 @@ from fmu_src.run.instance import (
 from fmu_src.run.loader import load_instance
 from fmu_src.run.trust import is_known
 from fmu_src.run.variables import (
+    DESCRIPTION,
     Declared,
     Variables,
     read_packed_description,
     read_unpacked_description,
 )
+from fmu_src.run.vocabulary import judge_description
 from hesr_model.errors import ArtifactError, SimulationError
+from hesr_model.findings import log_findings
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.process import DiedError
@@ -105,6 +108,8 @@ class FmuInstance:
                     sandbox = system.sandbox  # starts meanwhile
                 folder = cleanup.enter_context(scratch_folder(sandbox_folder))
                 self.description, self.declared = read_packed_description(archive)
+                if not self.trusted:
+                    log_findings(judge_description(archive.read(DESCRIPTION), self.fmu.name))
                 archive.unpack(folder, lambda name: name.startswith(needed_folders))
                 return folder, sandbox
         except ArtifactError as error:
