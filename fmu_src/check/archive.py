@@ -95,7 +95,9 @@ def parse(name: str, file: Path) -> tuple[etree._Element | None, list[Problem]]:
         text = f"it is not valid UTF-8, which FMI requires (byte {invalid_byte + 1})."
         return None, [("xml-encoding", f"{name}: {text}")]
     guard = _Guard()
-    encoding = "ISO-8859-1" if is_latin_1 else "UTF-8"
+    encoding = "UTF-8"
+    if is_latin_1:
+        encoding = "ISO-8859-1"
     try:
         guard.run(data, encoding)
         parser = etree.XMLParser(
@@ -112,9 +114,10 @@ def parse(name: str, file: Path) -> tuple[etree._Element | None, list[Problem]]:
         return root, [("xml-undeclared", text)]
     if guard.encoding is not None and not _UTF8.fullmatch(guard.encoding):
         text = f"{name}: its first line declares '{sanitise(guard.encoding)}'; FMI needs UTF-8."
-        # FMI 2.0 says so of strings only, and importers read what XML declares.
-        is_fmi_2 = root.get("fmiVersion", "").startswith("2.")
-        return root, [("xml-other-encoding" if is_fmi_2 else "xml-encoding", text)]
+        if root.get("fmiVersion", "").startswith("2."):
+            # FMI 2.0 says so of strings only, and importers read what XML declares.
+            return root, [("xml-other-encoding", text)]
+        return root, [("xml-encoding", text)]
     return root, []
 
 
@@ -123,8 +126,9 @@ def _find_invalid_byte(data: bytes) -> int | None:
         data.decode("utf-8")
     except UnicodeDecodeError as error:
         return error.start
-    # Byte-order marks of UTF-16, which parsers detect.
-    return data.index(b"\0") if b"\0" in data else None
+    if b"\0" in data:  # of UTF-16, which parsers detect
+        return data.index(b"\0")
+    return None
 
 
 def schema_problems(name: str, file: Path, reader: ReaderProcess) -> list[Problem]:
@@ -187,12 +191,22 @@ def _read_all(archive: zipfile.ZipFile, folder: Path) -> Contents:
     if len(zip_entries) > MAX_ENTRIES:
         text = f"it has {len(zip_entries)} entries; more than {MAX_ENTRIES} are not read."
         return Contents(problems=(("archive-damaged", text),))
-    problems = [problem for entry in zip_entries for problem in _oddities(entry)]
+    problems: list[Problem] = []
+    for entry in zip_entries:
+        problems += _oddities(entry)
     problems += _duplicates([entry.filename for entry in zip_entries])
+    files, reading_problems = _copy_entries(archive, folder)
+    names = tuple(dict.fromkeys(e.filename for e in zip_entries if not is_folder(e)))
+    return Contents(names=names, files=files, problems=(*problems, *reading_problems))
+
+
+def _copy_entries(archive: zipfile.ZipFile, folder: Path) -> tuple[dict[str, Path], list[Problem]]:
+    """Copy readable entries into numbered files; return these by name, and problems."""
     files: dict[str, Path] = {}
+    problems = []
     unpacked = 0
     unread: list[str] = []
-    for number, entry in enumerate(zip_entries):
+    for number, entry in enumerate(archive.infolist()):
         if is_folder(entry) or explain_unreadable(entry):
             continue
         unpacked += entry.file_size
@@ -213,8 +227,7 @@ def _read_all(archive: zipfile.ZipFile, folder: Path) -> Contents:
             f"read; left out: {quote_names(dict.fromkeys(unread))}."
         )
         problems.append(("archive-large", text))
-    names = tuple(dict.fromkeys(e.filename for e in zip_entries if not is_folder(e)))
-    return Contents(names=names, files=files, problems=tuple(problems))
+    return files, problems
 
 
 def _oddities(entry: zipfile.ZipInfo) -> Iterator[Problem]:

@@ -128,13 +128,15 @@ def problems(
     model_description: ParsedDescription, contents: Contents, reader: ReaderProcess
 ) -> Iterator[Problem]:
     """Yield the problems of the binaries."""
+    kinds_by_identifier: dict[str, list[InterfaceKind]] = {}
+    for kind in model_description.kinds:
+        kinds_by_identifier.setdefault(kind.identifier, []).append(kind)
     for platform, names in _group_by_platform(contents).items():
         expected = PLATFORMS[model_description.fmi].get(platform)
         # Subfolders may contain only static libraries.
-        if expected is None or not any("/" not in name for name in names):
+        if expected is None or all("/" in name for name in names):
             continue
-        for identifier in dict.fromkeys(kind.identifier for kind in model_description.kinds):
-            kinds = [kind for kind in model_description.kinds if kind.identifier == identifier]
+        for identifier, kinds in kinds_by_identifier.items():
             name = f"{_FOLDER}{platform}/{identifier}{expected.suffix}"
             if name in contents.files:
                 file = contents.files[name]
@@ -164,16 +166,17 @@ def describe_unknown_platforms(
 
 def platforms(contents: Contents) -> tuple[str, ...]:
     """Return the known platforms that have a library."""
-    libraries = {
-        folder: {posixpath.splitext(name)[1] for name in names if "/" not in name}
-        for folder, names in _group_by_platform(contents).items()
-    }
+    names_by_platform = _group_by_platform(contents)
     known_platforms = {**PLATFORMS[2], **PLATFORMS[3]}
     return tuple(
-        name
-        for name, platform in known_platforms.items()
-        if platform.suffix in libraries.get(name, ())
+        platform
+        for platform, expected in known_platforms.items()
+        if _has_library(names_by_platform.get(platform, ()), expected.suffix)
     )
+
+
+def _has_library(names: Iterable[str], suffix: str) -> bool:
+    return any("/" not in name and posixpath.splitext(name)[1] == suffix for name in names)
 
 
 def missing_systems(names: Iterable[str]) -> list[str]:
@@ -210,19 +213,18 @@ def _check_library(
     machines = [part["machine"] for part in parts]
     matching_parts = [part for part in parts if part["machine"] in expected.machines]
     if library["format"] != expected.format or not matching_parts:
-        is_a = (
-            f"{library['format']} for {', '.join(machines)}" if parts else "not a readable library"
-        )
+        is_a = "not a readable library"
+        if parts:
+            is_a = f"{library['format']} for {', '.join(machines)}"
         needed = " or ".join(expected.machines)
         text = f"it is {is_a}; needed in this folder is {expected.format} for {needed}."
         yield "binary-format", text
         return
-    texts = [
-        text
-        for part in matching_parts
-        for text in (*_exports(part, model_description, kinds), *_needs(part, expected, neighbours))
-    ]
-    yield from dict.fromkeys(texts)
+    part_problems: list[Problem] = []
+    for part in matching_parts:
+        part_problems += _exports(part, model_description, kinds)
+        part_problems += _needs(part, expected, neighbours)
+    yield from dict.fromkeys(part_problems)
 
 
 def _exports(
@@ -292,17 +294,16 @@ def _needs(part: Mapping[str, Any], expected: Platform, neighbours: set[str]) ->
         text = f"it needs a Python interpreter in the host ({quote_names(python, 3)} undefined)."
         yield "binary-python", text
     names = {_place(name) for name in foreign_libraries}
-    absent = sorted(names - neighbours)
-    runtime = [name for name in absent if _REDISTRIBUTABLE.fullmatch(name)]
-    for rule, needed in (
-        ("binary-library", [name for name in absent if name not in runtime]),
-        ("binary-runtime", runtime),
-    ):
-        if needed:
-            yield (
-                rule,
-                f"it needs {quote_names(needed)}, neither part of the system nor in the FMU.",
-            )
+    absent = {"binary-library": list[str](), "binary-runtime": list[str]()}
+    for name in sorted(names - neighbours):
+        rule = "binary-library"
+        if _REDISTRIBUTABLE.fullmatch(name):
+            rule = "binary-runtime"
+        absent[rule].append(name)
+    for rule, absent_names in absent.items():
+        if absent_names:
+            needed = quote_names(absent_names)
+            yield rule, f"it needs {needed}, neither part of the system nor in the FMU."
     origin = any("$ORIGIN" in path or "${ORIGIN}" in path for path in part["run_paths"])
     present = sorted(names & neighbours)
     if present and expected.format == "ELF" and not origin:

@@ -1,6 +1,5 @@
 """modelDescription.xml of FMI 2.0 or 3.0 as plain data; invalid numbers are None."""
 
-import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -20,15 +19,18 @@ _REAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?|[+-]?INF|
 
 def integer(text: str | None) -> int | None:
     """Return an integer, None if invalid."""
-    text = (text or "").strip()
-    return int(text) if _INTEGER.fullmatch(text) else None
+    digits = (text or "").strip()
+    if _INTEGER.fullmatch(digits) is None:
+        return None
+    return int(digits)
 
 
 def real(text: str | None) -> float | None:
     """Return a number, None if invalid or NaN."""
-    text = (text or "").strip()
-    value = float(text) if _REAL.fullmatch(text) else math.nan
-    return None if math.isnan(value) else value
+    number_text = (text or "").strip()
+    if _REAL.fullmatch(number_text) is None or number_text == "NaN":
+        return None
+    return float(number_text)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,8 +86,9 @@ class ParsedVariable:
 
     def get(self, attribute: str) -> str | None:
         """Return an attribute, by default that of the declared type."""
-        inherited = self.type.attributes.get(attribute) if self.type else None
-        return self.type_attributes.get(attribute, inherited)
+        if attribute in self.type_attributes or self.type is None:
+            return self.type_attributes.get(attribute)
+        return self.type.attributes.get(attribute)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,12 +116,16 @@ class ParsedDescription:
 
     def name_index(self, index: int) -> str:
         """Return the text for a variable that does not exist."""
-        return f"variable number {index}" if self.fmi == 2 else f"value reference {-1 - index}"
+        if self.fmi == 2:
+            return f"variable number {index}"
+        return f"value reference {-1 - index}"
 
     @property
     def continuous(self) -> tuple[str, ...]:
         """Types of continuous variables."""
-        return ("Real",) if self.fmi == 2 else FLOATS
+        if self.fmi == 2:
+            return ("Real",)
+        return FLOATS
 
     def variable(self, index: int | None) -> ParsedVariable | None:
         """Return the variable of an index that counts from 1, or None."""
@@ -131,8 +138,9 @@ def read_description(
     root: etree._Element, build: etree._Element | None = None
 ) -> ParsedDescription:
     """Read the elements fmiModelDescription, of FMI 2.0 or 3.0, and fmiBuildDescription."""
-    is_fmi3 = root.get("fmiVersion", "").startswith("3.")
-    return (_Reader3(root, build) if is_fmi3 else _Reader(root)).description()
+    if root.get("fmiVersion", "").startswith("3."):
+        return _Reader3(root, build).description()
+    return _Reader(root).description()
 
 
 def read_name(element: etree._Element) -> str:
@@ -146,7 +154,15 @@ def read_names(elements: Iterable[etree._Element]) -> tuple[str, ...]:
 
 
 def _attributes(element: etree._Element | None) -> dict[str, str]:
-    return {} if element is None else {str(k): str(value) for k, value in element.attrib.items()}
+    if element is None:
+        return {}
+    return {str(key): str(value) for key, value in element.attrib.items()}
+
+
+def _read_tag(element: etree._Element | None) -> str:
+    if element is None:
+        return ""
+    return str(element.tag)
 
 
 class _Reader:
@@ -159,39 +175,45 @@ class _Reader:
     reference = "index"
 
     def __init__(self, root: etree._Element) -> None:
-        self.root, self.elements = root, root.findall(self.variables)
-        types = tuple(map(self._type, root.findall(self.types)))
-        self._types = types
-        self._by_name = {t.name: t for t in types}
+        self.root = root
+        self.elements = root.findall(self.variables)
+        self._types = [self._type(element) for element in root.findall(self.types)]
+        self._type_by_name = {simple_type.name: simple_type for simple_type in self._types}
 
     def description(self) -> ParsedDescription:
         root = self.root
+        structure = {name: tuple(self._unknowns(path)) for name, path in self.lists.items()}
         return ParsedDescription(
             fmi=self.fmi,
             lists=self.lists,
             attributes=_attributes(root),
-            kinds=tuple(
-                InterfaceKind(element=name, attributes=_attributes(e), sources=self.sources(e))
-                for name in self.kinds
-                for e in root.findall(name)
-            ),
-            units=tuple(
-                (read_name(u), read_names(u.findall("DisplayUnit")))
-                for u in root.findall("UnitDefinitions/Unit")
-            ),
-            types=self._types,
+            kinds=tuple(self._interface_kinds()),
+            units=tuple(self._units()),
+            types=tuple(self._types),
             categories=read_names(root.findall("LogCategories/Category")),
             experiment=_attributes(root.find("DefaultExperiment")),
             variables=tuple(self.variable(i, e) for i, e in enumerate(self.elements, start=1)),
-            structure={
-                name: tuple(self._unknowns(list_path)) for name, list_path in self.lists.items()
-            },
+            structure=structure,
         )
+
+    def _interface_kinds(self) -> Iterator[InterfaceKind]:
+        for name in self.kinds:
+            for element in self.root.findall(name):
+                yield InterfaceKind(
+                    element=name,
+                    attributes=_attributes(element),
+                    sources=tuple(self.sources(element)),
+                )
+
+    def _units(self) -> Iterator[tuple[str, tuple[str, ...]]]:
+        """Yield each unit with its display units."""
+        for unit in self.root.findall("UnitDefinitions/Unit"):
+            yield read_name(unit), read_names(unit.findall("DisplayUnit"))
 
     def find_type_element(self, element: etree._Element) -> etree._Element | None:
         return next((child for child in element if child.tag in _TYPES), None)
 
-    def sources(self, kind: etree._Element) -> tuple[str, ...]:
+    def sources(self, kind: etree._Element) -> Iterable[str]:
         return read_names(kind.findall("SourceFiles/File"))
 
     def number(self, text: str | None) -> int | None:
@@ -200,6 +222,7 @@ class _Reader:
     def variable(self, index: int, element: etree._Element) -> ParsedVariable:
         type_element = self.find_type_element(element)
         type_attributes = _attributes(type_element)
+        declared_type = type_attributes.get("declaredType", "")
         return ParsedVariable(
             index=index,
             name=read_name(element),
@@ -207,19 +230,22 @@ class _Reader:
             causality=element.get("causality", "local"),
             variability=element.get("variability", "continuous"),
             declared_initial=element.get("initial"),
-            kind="" if type_element is None else str(type_element.tag),
+            kind=_read_tag(type_element),
             type_attributes=type_attributes,
-            type=self._by_name.get(type_attributes.get("declaredType", "")),
+            type=self._type_by_name.get(declared_type),
         )
 
     def _type(self, element: etree._Element) -> SimpleType:
         type_element = self.find_type_element(element)
-        items = [] if type_element is None else type_element.findall("Item")
+        items: list[tuple[str, int | None]] = []
+        if type_element is not None:
+            item_elements = type_element.findall("Item")
+            items += [(read_name(item), integer(item.get("value"))) for item in item_elements]
         return SimpleType(
             name=read_name(element),
-            kind="" if type_element is None else str(type_element.tag).removesuffix("Type"),
+            kind=_read_tag(type_element).removesuffix("Type"),
             attributes=_attributes(type_element),
-            items=tuple((read_name(item), integer(item.get("value"))) for item in items),
+            items=tuple(items),
         )
 
     def _unknowns(self, list_path: str) -> Iterator[Unknown]:
@@ -227,14 +253,12 @@ class _Reader:
             index = self.number(element.get(self.reference))
             if index is None:
                 continue
+            dependencies = None
             dependencies_text = element.get("dependencies")
-            numbers = map(self.number, (dependencies_text or "").split())
-            yield Unknown(
-                index=index,
-                dependencies=None
-                if dependencies_text is None
-                else tuple(n for n in numbers if n is not None),
-            )
+            if dependencies_text is not None:
+                numbers = [self.number(word) for word in dependencies_text.split()]
+                dependencies = tuple(number for number in numbers if number is not None)
+            yield Unknown(index=index, dependencies=dependencies)
 
 
 class _Reader3(_Reader):
@@ -265,40 +289,55 @@ class _Reader3(_Reader):
     def find_type_element(self, element: etree._Element) -> etree._Element:
         return element
 
-    def sources(self, kind: etree._Element) -> tuple[str, ...]:
-        builds = [] if self._build is None else self._build.findall("BuildConfiguration")
-        return tuple(
-            name
-            for build in builds
-            if build.get("modelIdentifier", "") == kind.get("modelIdentifier", "")
-            for name in read_names(build.findall("SourceFileSet/SourceFile"))
-        )
+    def sources(self, kind: etree._Element) -> Iterator[str]:
+        if self._build is None:
+            return
+        for build in self._build.findall("BuildConfiguration"):
+            if build.get("modelIdentifier", "") == kind.get("modelIdentifier", ""):
+                yield from read_names(build.findall("SourceFileSet/SourceFile"))
 
     def number(self, text: str | None) -> int:
         reference = integer(text)
-        return -1 if reference is None else self._numbers.get(reference, -1 - reference)
+        if reference is None:
+            return -1
+        return self._numbers.get(reference, -1 - reference)
 
     def variable(self, index: int, element: etree._Element) -> ParsedVariable:
         variable = super().variable(index, element)
-        type_attributes = dict(variable.type_attributes)
-        if "start" not in type_attributes and element.find("Start") is not None:  # of a String
-            type_attributes["start"] = " ".join(
-                e.get("value", "") or "?" for e in element.findall("Start")
-            )
-        if "derivative" in type_attributes:
-            type_attributes["derivative"] = str(self.number(type_attributes["derivative"]))
-        sizes = [
-            integer(d.get("start"))
-            if "start" in d.attrib
-            else self._sizes.get(integer(d.get("valueReference")))
-            for d in element.findall("Dimension")
-        ]
-        known_sizes = [size for size in sizes if size is not None]
-        usual = "continuous" if variable.kind in FLOATS else "discrete"
         updates = {
-            "variability": element.get("variability", usual),
-            "type_attributes": type_attributes,
-            "size": prod(known_sizes) if len(known_sizes) == len(sizes) else None,
+            "variability": element.get("variability", _find_usual_variability(variable.kind)),
+            "type_attributes": self._complete_attributes(element, variable.type_attributes),
+            "size": self._read_size(element),
             "others": read_names(element.findall("Alias")),
         }
         return ParsedVariable(**(vars(variable) | updates))  # faster than `replace`
+
+    def _complete_attributes(
+        self, element: etree._Element, attributes: Mapping[str, str]
+    ) -> dict[str, str]:
+        """Return attributes with the start values of texts, and the index of a state."""
+        completed = dict(attributes)
+        starts = element.findall("Start")  # of a String or Binary
+        if starts and "start" not in completed:
+            completed["start"] = " ".join(start.get("value", "") or "?" for start in starts)
+        if "derivative" in completed:
+            completed["derivative"] = str(self.number(completed["derivative"]))
+        return completed
+
+    def _read_size(self, element: etree._Element) -> int | None:
+        """Return the number of elements of a variable; None if a dimension is unknown."""
+        sizes = []
+        for dimension in element.findall("Dimension"):
+            size = integer(dimension.get("start"))
+            if "start" not in dimension.attrib:
+                size = self._sizes.get(integer(dimension.get("valueReference")))
+            if size is None:
+                return None
+            sizes.append(size)
+        return prod(sizes)
+
+
+def _find_usual_variability(kind: str) -> str:
+    if kind in FLOATS:
+        return "continuous"
+    return "discrete"

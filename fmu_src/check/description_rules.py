@@ -34,7 +34,7 @@ _DATE = re.compile(r"[0-9]{4}(-[0-9]{2}){2}T[0-9]{2}(:[0-9]{2}){2}Z")
 def _kinds(model_description: ParsedDescription) -> Iterator[Problem]:
     if not model_description.kinds:
         yield "kind-missing", f"the elements {' and '.join(KINDS)} are both missing."
-    state = "FMUstate" if model_description.fmi == 2 else "FMUState"
+    state = _choose_by_version(model_description, "FMUstate", "FMUState")
     for kind in model_description.kinds:
         if not _C_NAME.fullmatch(kind.identifier):
             yield (
@@ -56,42 +56,47 @@ def _kinds(model_description: ParsedDescription) -> Iterator[Problem]:
             )
 
 
+def _choose_by_version(model_description: ParsedDescription, of_fmi_2: str, of_fmi_3: str) -> str:
+    if model_description.fmi == 2:
+        return of_fmi_2
+    return of_fmi_3
+
+
 def _identity(model_description: ParsedDescription) -> Iterator[Problem]:
-    token = "guid" if model_description.fmi == 2 else "instantiationToken"
+    token = _choose_by_version(model_description, "guid", "instantiationToken")
     if not model_description.attributes.get(token, "").strip():
         text = f"the attribute {token} is empty; it must identify the binaries of the FMU."
         yield "token-empty", text
-    date = (
-        model_description.attributes.get("generationDateAndTime")
-        if model_description.fmi == 2
-        else None
-    )
+    if model_description.fmi != 2:
+        return
+    date = model_description.attributes.get("generationDateAndTime")
     if date is not None and not _DATE.fullmatch(date):
         text = f"generationDateAndTime is {quote(date)}; the format is YYYY-MM-DDThh:mm:ssZ."
         yield "date-format", text
 
 
 def _experiment(model_description: ParsedDescription) -> Iterator[Problem]:
-    start, stop, step_size, tolerance = (
-        real(model_description.experiment.get(n))
-        for n in ("startTime", "stopTime", "stepSize", "tolerance")
-    )
-    if start is not None and stop is not None and stop <= start:
-        text = f"DefaultExperiment has stopTime {stop:.15g}, not after its startTime {start:.15g}."
-        yield "experiment-times", text
-    elif (
-        start is not None
-        and stop is not None
-        and step_size is not None
-        and step_size > stop - start
-    ):
-        text = f"DefaultExperiment has stepSize {step_size:.15g}, longer than the experiment."
-        yield "experiment-step", text
+    experiment = model_description.experiment
+    start = real(experiment.get("startTime"))
+    stop = real(experiment.get("stopTime"))
+    step_size = real(experiment.get("stepSize"))
+    tolerance = real(experiment.get("tolerance"))
+    if start is not None and stop is not None:
+        if stop <= start:
+            sentence = (
+                f"DefaultExperiment has stopTime {stop:.15g}, not after its startTime {start:.15g}."
+            )
+            yield "experiment-times", sentence
+        elif step_size is not None and step_size > stop - start:
+            sentence = (
+                f"DefaultExperiment has stepSize {step_size:.15g}, longer than the experiment."
+            )
+            yield "experiment-step", sentence
     for name, value in (("stepSize", step_size), ("tolerance", tolerance)):
         if value is not None and value <= 0:
-            text = f"DefaultExperiment has {name} {value:.15g}; it must be positive."
-            yield "experiment-times", text
-    for name, text in model_description.experiment.items():
+            sentence = f"DefaultExperiment has {name} {value:.15g}; it must be positive."
+            yield "experiment-times", sentence
+    for name, text in experiment.items():
         if text.strip() in ("INF", "+INF", "-INF", "NaN"):
             sentence = f"DefaultExperiment has {name} {text.strip()}; it must be finite."
             yield "experiment-times", sentence
@@ -151,36 +156,54 @@ def _independent(model_description: ParsedDescription) -> Iterator[Problem]:
 
 @_apply_to_variables
 def _ranges(model_description: ParsedDescription, variable: ParsedVariable) -> Iterator[Problem]:
-    if (
-        variable.kind not in ("Real", "Integer", "Enumeration", *model_description.continuous)
-        and "Int" not in variable.kind
-    ):
+    limited_kinds = ("Real", "Integer", "Enumeration", *model_description.continuous)
+    if variable.kind not in limited_kinds and "Int" not in variable.kind:
         return
-    lower, upper = (real(variable.get(name)) for name in ("min", "max"))
-    bounded = lower is not None or upper is not None
-    starts = [real(text) for text in (variable.get("start") or "").split()] if bounded else []
-    if lower is not None and upper is not None and lower > upper:
-        yield "variable-range", f"has min {lower:.15g}, above its max {upper:.15g}."
-    elif outside := [
-        start
-        for start in starts
-        if start is not None
-        and ((lower is not None and start < lower) or (upper is not None and start > upper))
-    ]:
-        bounds = [f"{k} {x:.15g}" for k, x in (("min", lower), ("max", upper)) if x is not None]
-        text = f"has the start value {outside[0]:.15g}, outside its {' and '.join(bounds)}."
-        yield "variable-range", text
+    yield from _check_limits(variable)
     nominal = real(variable.get("nominal"))
     if nominal is not None and nominal <= 0:
         yield "variable-nominal", f"has the nominal value {nominal:.15g}; it must be positive."
-    if variable.kind == "Enumeration" and variable.type and variable.type.kind == "Enumeration":
-        value = integer(variable.type_attributes.get("start"))
-        if value is not None and value not in variable.type.values:
-            yield (
-                "variable-item",
-                f"has the start value {value}, which is not an item of the enumeration "
-                f"{quote(variable.type.name)}.",
-            )
+    if variable.kind == "Enumeration":
+        yield from _check_item(variable)
+
+
+def _check_limits(variable: ParsedVariable) -> Iterator[Problem]:
+    lower = real(variable.get("min"))
+    upper = real(variable.get("max"))
+    bounds = []
+    if lower is not None:
+        bounds.append(f"min {lower:.15g}")
+    if upper is not None:
+        bounds.append(f"max {upper:.15g}")
+    if not bounds:
+        return
+    if lower is not None and upper is not None and lower > upper:
+        yield "variable-range", f"has min {lower:.15g}, above its max {upper:.15g}."
+        return
+    for text in (variable.get("start") or "").split():
+        start = real(text)
+        if start is not None and not _is_within(start, lower, upper):
+            sentence = f"has the start value {start:.15g}, outside its {' and '.join(bounds)}."
+            yield "variable-range", sentence
+            return
+
+
+def _is_within(value: float, lower: float | None, upper: float | None) -> bool:
+    if lower is not None and value < lower:
+        return False
+    return upper is None or value <= upper
+
+
+def _check_item(variable: ParsedVariable) -> Iterator[Problem]:
+    if variable.type is None or variable.type.kind != "Enumeration":
+        return
+    value = integer(variable.type_attributes.get("start"))
+    if value is not None and value not in variable.type.values:
+        yield (
+            "variable-item",
+            f"has the start value {value}, which is not an item of the enumeration "
+            f"{quote(variable.type.name)}.",
+        )
 
 
 @_apply_to_variables
@@ -221,7 +244,7 @@ def _derivatives(
         or state.variability != "continuous"
         or state.size != variable.size
     ):
-        size = "" if model_description.fmi == 2 else " and of its size"
+        size = _choose_by_version(model_description, "", " and of its size")
         yield (
             "variable-derivative",
             f"is the derivative of {quote(state.name)}, which is not another continuous "
@@ -232,25 +255,33 @@ def _derivatives(
 def _aliases(model_description: ParsedDescription) -> Iterator[Problem]:
     sets: dict[tuple[str, int], list[ParsedVariable]] = defaultdict(list)
     for variable in model_description.variables:
-        base = "Integer" if variable.kind == "Enumeration" else variable.kind
         if variable.reference is not None:
-            sets[base, variable.reference].append(variable)
+            sets[_choose_base(variable), variable.reference].append(variable)
     for (_, reference), members in sets.items():
-        if len(members) < 2:
-            continue
-        subject = (
-            f"the variables {quote_names(variable.name for variable in members)} share value "
-            f"reference {reference}"
-        )
-        constants = [variable for variable in members if variable.variability == "constant"]
-        if constants and len(constants) < len(members):
-            yield "alias-constant", f"{subject}, but only some of them are constant."
-        if len({variable.type_attributes.get("start") for variable in constants}) > 1:
-            yield "alias-constant", f"{subject}, but as constants have different values."
-        if sum(_is_settable(variable) for variable in members) > 1:
-            yield "alias-settable", f"{subject}, but more than one of them can be set."
-        if len({variable.get("unit") for variable in members}) > 1:
-            yield "alias-unit", f"{subject}, but have different units."
+        if len(members) > 1:
+            names = quote_names(variable.name for variable in members)
+            subject = f"the variables {names} share value reference {reference}"
+            for rule, predicate in _judge_aliases(members):
+                yield rule, f"{subject}, but {predicate}."
+
+
+def _choose_base(variable: ParsedVariable) -> str:
+    """Return the type of the functions that access a variable."""
+    if variable.kind == "Enumeration":
+        return "Integer"
+    return variable.kind
+
+
+def _judge_aliases(members: list[ParsedVariable]) -> Iterator[Problem]:
+    constants = [variable for variable in members if variable.variability == "constant"]
+    if constants and len(constants) < len(members):
+        yield "alias-constant", "only some of them are constant"
+    if len({variable.type_attributes.get("start") for variable in constants}) > 1:
+        yield "alias-constant", "as constants have different values"
+    if sum(_is_settable(variable) for variable in members) > 1:
+        yield "alias-settable", "more than one of them can be set"
+    if len({variable.get("unit") for variable in members}) > 1:
+        yield "alias-unit", "have different units"
 
 
 @_apply_to_variables
@@ -267,41 +298,38 @@ def _sizes(_: ParsedDescription, variable: ParsedVariable) -> Iterator[Problem]:
 
 
 def _is_settable(variable: ParsedVariable) -> bool:
-    initial = variable.declared_initial or ("exact" if variable.causality == "parameter" else "")
-    started = variable.variability != "constant" and initial in ("exact", "approx")
-    return started or variable.causality == "input"
+    if variable.causality == "input":
+        return True
+    initial = variable.declared_initial
+    if not initial and variable.causality == "parameter":
+        initial = "exact"
+    return variable.variability != "constant" and initial in ("exact", "approx")
 
 
 def _listed_derivatives(model_description: ParsedDescription) -> Iterator[Problem]:
     if all(kind.element != "ModelExchange" for kind in model_description.kinds):
         return
-    list_name = model_description.lists["Derivatives"]
     listed_indices = {u.index for u in model_description.structure["Derivatives"]}
-    declared = [
-        variable
-        for variable in model_description.variables
-        if "derivative" in variable.type_attributes
-    ]
     # Several variables may be the derivative of one state, of which one is listed.
-    listed_states = {
-        variable.type_attributes["derivative"]
-        for variable in declared
-        if variable.index in listed_indices
-    }
-    wrong = {
-        ("structure-states", "lacks"): [
-            variable
-            for variable in declared
-            if variable.variability == "continuous"
-            and variable.type_attributes["derivative"] not in listed_states
-        ],
-        ("structure-derivatives", "lists"): [
-            variable
-            for variable in declared
-            if variable.variability != "continuous" and variable.index in listed_indices
-        ],
-    }
-    for (rule, verb), variables in wrong.items():
+    listed_states = set()
+    unlisted = []
+    not_continuous = []
+    for variable in model_description.variables:
+        state = variable.type_attributes.get("derivative")
+        if state is None:
+            continue
+        if variable.index in listed_indices:
+            listed_states.add(state)
+            if variable.variability != "continuous":
+                not_continuous.append(variable)
+        elif variable.variability == "continuous":
+            unlisted.append((variable, state))
+    missing = [variable for variable, state in unlisted if state not in listed_states]
+    list_name = model_description.lists["Derivatives"]
+    for rule, verb, variables in (
+        ("structure-states", "lacks", missing),
+        ("structure-derivatives", "lists", not_continuous),
+    ):
         if variables:
             yield (
                 rule,
@@ -311,13 +339,15 @@ def _listed_derivatives(model_description: ParsedDescription) -> Iterator[Proble
 
 
 def _order(model_description: ParsedDescription) -> Iterator[Problem]:
+    if model_description.fmi != 2:
+        return
     list_name = "InitialUnknowns"
-    initial_variables = [
-        variable
-        for u in model_description.structure[list_name]
-        if (variable := model_description.variable(u.index))
-    ]
-    for before, after in pairwise(initial_variables if model_description.fmi == 2 else ()):
+    initial_variables = []
+    for unknown in model_description.structure[list_name]:
+        variable = model_description.variable(unknown.index)
+        if variable is not None:
+            initial_variables.append(variable)
+    for before, after in pairwise(initial_variables):
         if after.index < before.index:
             yield (
                 "structure-order",
@@ -344,54 +374,54 @@ def _indices(model_description: ParsedDescription) -> Iterator[Problem]:
 
 
 def _dependencies(model_description: ParsedDescription) -> Iterator[Problem]:
-    inputs = any(
+    has_inputs = any(
         variable.causality == "input" and variable.kind != "Clock"
         for variable in model_description.variables
     )
     for name in STRUCTURE:
         unknowns = model_description.structure[name]
-        silent = [
-            _describe_unknown(model_description, u)
-            for u in unknowns
-            if u.dependencies is None and inputs
-        ]
-        if silent:
+        subject = f"{model_description.lists[name]} gives"
+        silent = [unknown for unknown in unknowns if unknown.dependencies is None]
+        if silent and has_inputs:
+            names = quote_names(_describe_unknown(model_description, u) for u in silent)
             yield (
                 "structure-loops",
-                f"{model_description.lists[name]} gives no dependencies for {quote_names(silent)}, "
-                "so importers assume all inputs and find false algebraic loops.",
+                f"{subject} no dependencies for {names}, so importers assume all inputs and find "
+                "false algebraic loops.",
             )
         for unknown in unknowns:
-            subject = (
-                f"{model_description.lists[name]} gives "
-                f"{quote(_describe_unknown(model_description, unknown))}"
-            )
-            dependencies = unknown.dependencies or ()
-            missing = [i for i in dependencies if model_description.variable(i) is None]
-            if missing:
-                text = (
-                    f"{subject} a dependency on {model_description.name_index(missing[0])}, "
-                    "which does not exist."
-                )
-                yield "structure-dependency", text
-            elif model_description.fmi == 2 and any(a >= b for a, b in pairwise(dependencies)):
-                yield "structure-order", f"{subject} dependencies that are not in ascending order."
+            unknown_name = quote(_describe_unknown(model_description, unknown))
+            for rule, predicate in _judge_dependencies(model_description, unknown):
+                yield rule, f"{subject} {unknown_name} {predicate}"
+
+
+def _judge_dependencies(
+    model_description: ParsedDescription, unknown: Unknown
+) -> Iterator[Problem]:
+    dependencies = unknown.dependencies or ()
+    for index in dependencies:
+        if model_description.variable(index) is None:
+            dependency = model_description.name_index(index)
+            yield "structure-dependency", f"a dependency on {dependency}, which does not exist."
+            return
+    if model_description.fmi == 2 and any(a >= b for a, b in pairwise(dependencies)):
+        yield "structure-order", "dependencies that are not in ascending order."
 
 
 def _describe_unknown(model_description: ParsedDescription, unknown: Unknown) -> str:
     variable = model_description.variable(unknown.index)
-    return variable.name if variable else model_description.name_index(unknown.index)
+    if variable is None:
+        return model_description.name_index(unknown.index)
+    return variable.name
 
 
 def terminal_problems(
     root: etree._Element, model_description: ParsedDescription, contents: Contents
 ) -> Iterator[Problem]:
     """Yield missing references and repeated names of terminals."""
-    variable_names = {
-        name
-        for variable in model_description.variables
-        for name in (variable.name, *variable.others)
-    }
+    variable_names = set[str]()
+    for variable in model_description.variables:
+        variable_names.update((variable.name, *variable.others))
     yield from find_duplicates(
         "terminal-twice", "terminal", read_names(root.findall("Terminals/Terminal")), "there"
     )

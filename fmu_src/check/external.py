@@ -32,9 +32,10 @@ def write_copy(contents: Contents, readable: Iterable[str], path: Path) -> None:
     readable = set(readable)
     with zipfile.ZipFile(path, "w") as archive:
         for name in contents.names:
-            archive.writestr(
-                zipfile.ZipInfo(name), contents.read(name) if name in readable else b""
-            )
+            data = b""
+            if name in readable:
+                data = contents.read(name)
+            archive.writestr(zipfile.ZipInfo(name), data)
 
 
 def fmpy(copy: Path, reader: ReaderProcess) -> tuple[list[Problem], list[str]]:
@@ -53,7 +54,9 @@ def fmpy(copy: Path, reader: ReaderProcess) -> tuple[list[Problem], list[str]]:
 
 def _choose_rule(text: str) -> str:
     """Return the rule of a message; importers ignore display units that are not defined."""
-    return "unit-ignored" if _DISPLAY_UNIT.fullmatch(text) else "fmpy"
+    if _DISPLAY_UNIT.fullmatch(text):
+        return "unit-ignored"
+    return "fmpy"
 
 
 def _add_difference(text: str) -> str:
@@ -98,28 +101,42 @@ def vdmcheck2(
         ended = run(tie_command(command), folder, VDMCHECK_SECONDS)
     except FailedError as error:
         return [], [f"VDMCheck2: {sanitise(str(error))}."]
-    lines = ended.stdout.splitlines()
+    return _read_verdict(ended.stdout.splitlines())
+
+
+def _read_verdict(lines: list[str]) -> tuple[list[Problem], list[str]]:
+    """Return the problems in the output of VDMCheck2, and why it gave no verdict."""
     if "No errors found." in lines:
         return [], []
     if "Errors found." not in lines:
         first = sanitise(next(iter(lines), "no message"), _MAX_MESSAGE_LENGTH).rstrip(".")
         return [], [f"VDMCheck2: it gave no verdict but said '{first}'."]
-    rules = [match for line in lines if (match := _RULE.fullmatch(line))]
-    # FMI 2 only recommends a form of dates: see `date-format`.
-    dates = any(m[1] == "validGenerationDateAndTime" for m in rules)
-    rules = [m for m in rules if m[1] != "validGenerationDateAndTime"]
-    problems = [_rule(m[1], m[2]) for m in rules if not m[2].startswith(("//", "Warning:"))]
-    return problems or [("vdmcheck2", "it found unnamed errors.")] * (not dates), []
+    problems = []
+    has_date = False
+    for line in lines:
+        match = _RULE.fullmatch(line)
+        if match is None:
+            continue
+        if match[1] == "validGenerationDateAndTime":
+            # FMI 2 only recommends a form of dates: see `date-format`.
+            has_date = True
+        elif not match[2].startswith(("//", "Warning:")):
+            problems.append(_rule(match[1], match[2]))
+    if not problems and not has_date:
+        problems.append(("vdmcheck2", "it found unnamed errors."))
+    return problems, []
 
 
 def _rule(name: str, text: str) -> Problem:
     line = _LINE.search(text)
-    location = f"modelDescription.xml, line {line[1]}: " if line else ""
-    text = text[: line.start()] if line else text
-    return f"vdmcheck2:{name}", _sentence(f"{location}{text}")
+    if line is not None:
+        text = f"modelDescription.xml, line {line[1]}: {text[: line.start()]}"
+    return f"vdmcheck2:{name}", _sentence(text)
 
 
 def _sentence(text: str) -> str:
     # Further lines are drawings of parsers.
     text = sanitise(next(iter(text.strip().splitlines()), "no message"), _MAX_MESSAGE_LENGTH)
-    return text if text.endswith((".", "!", "?")) else f"{text}."
+    if text.endswith((".", "!", "?")):
+        return text
+    return f"{text}."

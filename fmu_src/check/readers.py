@@ -28,39 +28,41 @@ _SCHEMAS = {
 
 def validate(file: str) -> tuple[list[str], str]:
     """Return the problems that FMPy finds beyond the schema, or why it cannot read the file."""
-    from fmpy import read_model_description
-    from fmpy.validation import validate_model_description
-
     try:
-        model_description = read_model_description(file, validate=False)
-        messages = validate_model_description(model_description, validate_model_structure=True)
-        exempt = {
-            variable.name
-            for variable in model_description.modelVariables
-            if variable.alias or variable.type == "Clock"
-        }
-        odd = (
-            variable
-            for variable in model_description.modelVariables
-            if not _LEGAL.fullmatch(variable.name)
-        )
-        model_description.modelVariables = list(islice(odd, MAX_NAMES))
-        model_description.fmiVersion = ""
-        if model_description.modelVariables:  # loading the grammar of names is slow
-            name_messages = validate_model_description(
-                model_description, validate_variable_names=True
-            )
-            messages = name_messages + messages
+        return _list_messages(file), ""
     except Exception as error:
-        # FMPy raises bare exceptions for violations; others are its own faults.
         reason = str(error) or type(error).__name__
         if _is_unread_type(reason, file):
             return [], reason
-        problems = getattr(error, "problems", [reason] if type(error) is Exception else [])
-        return problems, "" if problems else f"{type(error).__name__}: {reason}"
-    return [
-        problem for problem in dict.fromkeys(messages) if not _is_fmi_3_only(problem, exempt)
-    ], ""
+        # FMPy raises bare exceptions for violations; others are its own faults.
+        if type(error) is Exception:
+            return [reason], ""
+        problems = getattr(error, "problems", [])
+        if problems:
+            return problems, ""
+        return [], f"{type(error).__name__}: {reason}"
+
+
+def _list_messages(file: str) -> list[str]:
+    from fmpy import read_model_description
+    from fmpy.validation import validate_model_description
+
+    model_description = read_model_description(file, validate=False)
+    messages = validate_model_description(model_description, validate_model_structure=True)
+    exempt = set()
+    odd_variables = []
+    for variable in model_description.modelVariables:
+        if variable.alias or variable.type == "Clock":
+            exempt.add(variable.name)
+        if not _LEGAL.fullmatch(variable.name):
+            odd_variables.append(variable)
+    if odd_variables:  # loading the grammar of names is slow
+        model_description.modelVariables = odd_variables[:MAX_NAMES]
+        model_description.fmiVersion = ""
+        messages = (
+            validate_model_description(model_description, validate_variable_names=True) + messages
+        )
+    return [message for message in dict.fromkeys(messages) if not _is_fmi_3_only(message, exempt)]
 
 
 _UNDEFINED = re.compile(r'Variable .* has declaredType="(.*)" which has not been defined\.')
@@ -104,15 +106,15 @@ def compare(file: str) -> list[tuple[int, str, str]]:
         return []
     schema = etree.XMLSchema(file=str(schema_path))
     schema.validate(root)
-    version = 3 if root.get("fmiVersion", "").startswith("3.") else 2
-    return [
-        (
-            e.line,
-            e.type_name.removeprefix("SCHEMAV_").lower(),
-            _add_suggestion(str(e.message)[:1000], version),
-        )
-        for e in islice(schema.error_log, MAX_ERRORS)
-    ]
+    version = 2
+    if root.get("fmiVersion", "").startswith("3."):
+        version = 3
+    violations = []
+    for error in islice(schema.error_log, MAX_ERRORS):
+        kind = error.type_name.removeprefix("SCHEMAV_").lower()
+        message = _add_suggestion(str(error.message)[:1000], version)
+        violations.append((error.line, kind, message))
+    return violations
 
 
 _NOT_ALLOWED = re.compile(r"Element '(\w+)', attribute '(\w+)': The attribute .* is not allowed\.")
@@ -131,25 +133,30 @@ def _add_suggestion(message: str, version: int) -> str:
         suggestion = suggest_names(version, match[1], match[2])
     elif match := _NOT_EXPECTED.fullmatch(message):
         suggestion = format_suggestion(find_close_names(match[1], match[2].split(", ")))
-    return f"{message} D{suggestion[1:]}" if suggestion else message
+    if not suggestion:
+        return message
+    return f"{message} D{suggestion[1:]}"
 
 
 def find_schema(tag: str, attributes: Mapping[str, str]) -> Path | None:
     """Return the schema for a root element, None if it is not installed."""
-    tag, version = tag.rpartition("}")[2], attributes.get("fmiVersion", "")
-    name = _SCHEMAS.get(tag) or _SCHEMAS["3" if version.startswith("3.") else version]
+    version = attributes.get("fmiVersion", "")
+    if version.startswith("3."):
+        version = "3"
+    name = _SCHEMAS.get(tag.rpartition("}")[2]) or _SCHEMAS[version]
     package = "fmpy"
-    folder = ""
     if name.startswith("ssp/") and attributes.get("version", "").startswith("2."):
-        package, folder, name = "pyssp_standard", "resources/ssp2", Path(name).name
-    return next((place / folder / name for place in find_package_folders(package)), None)
+        package = "pyssp_standard"
+        name = f"resources/ssp2/{Path(name).name}"
+    return next((place / name for place in find_package_folders(package)), None)
 
 
 def find_package_folders(package: str) -> list[Path]:
     """Return the folders of an installed package without importing it, which may be slow."""
     spec = find_spec(package)
-    locations = spec.submodule_search_locations if spec else None
-    return [Path(location) for location in locations or ()]
+    if spec is None:
+        return []
+    return [Path(location) for location in spec.submodule_search_locations or ()]
 
 
 def inspect(file: str) -> dict[str, Any]:
@@ -161,13 +168,17 @@ def inspect(file: str) -> dict[str, Any]:
         return _answer("ELF", [lief.ELF.parse(file)], _elf)
     if lief.is_pe(file):
         return _answer("PE", [lief.PE.parse(file)], _pe)
-    return _answer("Mach-O", lief.MachO.parse(file) if lief.is_macho(file) else (), _mach_o)
+    if lief.is_macho(file):
+        return _answer("Mach-O", lief.MachO.parse(file), _mach_o)
+    return _answer("", (), _mach_o)
 
 
 def _answer(kind: str, parts: Any, read: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
     # `parts` stays alive here: LIEF's parts do not keep their file alive.
     part_records = [read(part) for part in parts or () if part is not None]
-    return {"format": kind if part_records else None, "parts": part_records}
+    if not part_records:
+        return {"format": None, "parts": []}
+    return {"format": kind, "parts": part_records}
 
 
 def _word(value: object) -> str:
@@ -185,30 +196,35 @@ def _imports(names: Iterable[object]) -> list[str]:
 def _elf(elf: Any) -> dict[str, Any]:
     # The imported symbols of lief lack those without a type.
     symbols = [s for s in elf.dynamic_symbols if _word(s.binding) in ("GLOBAL", "WEAK")]
+    run_paths = []
+    for entry in elf.dynamic_entries:
+        names = [name for name in ("runpath", "rpath") if hasattr(entry, name)]
+        run_paths += [str(getattr(entry, name)) for name in names]
     return {
         "machine": _word(elf.header.machine_type),
         "shared": _word(elf.header.file_type) in ("DYN", "DYNAMIC"),
         "exports": _exports(s.name for s in symbols if s.shndx),
         "imports": _imports(s.name for s in symbols if not s.shndx),
         "libraries": [str(library) for library in elf.libraries],
-        "run_paths": [
-            str(getattr(entry, name))
-            for entry in elf.dynamic_entries
-            for name in ("runpath", "rpath")
-            if hasattr(entry, name)
-        ],
+        "run_paths": run_paths,
     }
 
 
 def _pe(pe: Any) -> dict[str, Any]:
     exports = pe.get_export()
-    imports = list(pe.imports) + list(getattr(pe, "delay_imports", ()))
+    exported_names: list[Any] = []
+    if exports:
+        exported_names += [entry.name for entry in exports.entries]
+    libraries = [*pe.imports, *getattr(pe, "delay_imports", ())]
+    imported_names: list[Any] = []
+    for library in libraries:
+        imported_names += [entry.name for entry in library.entries]
     return {
         "machine": _word(pe.header.machine),
         "shared": "DLL" in {_word(c) for c in pe.header.characteristics_list},
-        "exports": _exports(e.name for e in exports.entries) if exports else [],
-        "imports": _imports(e.name for library in imports for e in library.entries),
-        "libraries": [str(library.name) for library in imports],
+        "exports": _exports(exported_names),
+        "imports": _imports(imported_names),
+        "libraries": [str(library.name) for library in libraries],
         "run_paths": [],
     }
 

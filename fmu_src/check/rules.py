@@ -22,8 +22,10 @@ class Rule:
     @property
     def link(self) -> str:
         """Address of the standard; with FMI 3, of its clause."""
+        if "SSP" in self.clause and "FMI 3" not in self.clause:
+            return "https://ssp-standard.org/"
         if "FMI 3" not in self.clause:
-            return f"https://{'ssp' if 'SSP' in self.clause else 'fmi'}-standard.org/"
+            return "https://fmi-standard.org/"
         last = self.clause.rpartition(" ")[2]
         return f"https://fmi-standard.org/docs/3.0.1/#{_ANCHORS[last]}"
 

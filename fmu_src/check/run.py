@@ -1,5 +1,6 @@
 """All checks of one untrusted FMU, in order of dependence."""
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import chain
@@ -19,7 +20,7 @@ from hesr_model.errors import ArgumentError
 from hesr_model.findings import SEVERITIES, Finding, sort_by_severity
 from hesr_model.support import plugins
 from hesr_model.support.files import scratch_folder
-from hesr_model.support.text import quote, sanitise
+from hesr_model.support.text import count_noun, quote, sanitise
 
 _MODEL = "modelDescription.xml"
 _BUILD = "sources/buildDescription.xml"
@@ -53,26 +54,30 @@ class Report:
         """Platforms that have a binary, and operating systems that have none; "" if unknown."""
         if self.platforms is None:
             return ""
+        if not self.platforms and self.path.suffix.lower() == ".ssp":
+            return "none that all its FMUs share."
         if not self.platforms:
-            is_system = self.path.suffix.lower() == ".ssp"
-            return "none that all its FMUs share." if is_system else "none."
+            return "none."
+        coverage = ", ".join(self.platforms)
         missing = binaries.missing_systems(self.platforms)
-        lack = f"; no binary for tools on {' and '.join(missing)}" if missing else ""
-        return f"{', '.join(self.platforms)}{lack}."
+        if missing:
+            coverage += f"; no binary for tools on {' and '.join(missing)}"
+        return f"{coverage}."
 
     @property
     def verdict(self) -> str:
         """One-line summary."""
-        counts = {s: sum(finding.severity == s for finding in self.problems) for s in SEVERITIES}
+        counts = Counter(finding.severity for finding in self.problems)
         count_texts = [
-            f"{count} {severity}{'s' * (count > 1 and severity != 'advice')}"
-            for severity, count in counts.items()
-            if count
+            _count_findings(counts[severity], severity)
+            for severity in SEVERITIES
+            if counts[severity]
         ]
         if count_texts:
             return f"{', '.join(count_texts)}."
-        applied = f" of {self.rule_count} rules" if self.rule_count else ""
-        return f"passed, no finding{applied}."
+        if self.rule_count:
+            return f"passed, no finding of {self.rule_count} rules."
+        return "passed, no finding."
 
     def to_json(self) -> dict[str, Any]:
         """Return the report as JSON data."""
@@ -85,6 +90,12 @@ class Report:
             "platforms": list(self.platforms or ()),
             "record": self.record,
         }
+
+
+def _count_findings(count: int, severity: str) -> str:
+    if severity == "advice":
+        return f"{count} advice"
+    return count_noun(count, severity)
 
 
 def check(path: Path, *, vdmcheck: Path | None = None, kinds: Iterable[str] = ()) -> Report:
@@ -103,11 +114,14 @@ def check(path: Path, *, vdmcheck: Path | None = None, kinds: Iterable[str] = ()
         with ReaderProcess(folder, files, folder) as reader:
             check_run = _CheckRun(folder, reader, vdmcheck, kinds)
             check_run.check(contents)
+    platforms = None
+    if _MODEL in contents.names:
+        platforms = binaries.platforms(contents)
     return Report(
         path=path,
         problems=tuple(sort_by_severity(check_run.problems)),
         skipped=tuple(check_run.skipped),
-        platforms=binaries.platforms(contents) if _MODEL in contents.names else None,
+        platforms=platforms,
         record=check_run.record,
         rule_count=check_run.count_rules(),
     )
@@ -160,8 +174,7 @@ class _CheckRun:
             return
         version = str(root.get("fmiVersion", ""))
         invalid = self._add(archive.schema_problems(_MODEL, contents.files[_MODEL], self._reader))
-        file = contents.files.get(_BUILD)
-        model_description = read_description(root, archive.parse(_BUILD, file)[0] if file else None)
+        model_description = read_description(root, _read_build(contents))
         self._check_rules(model_description, contents)
         if damaged or broken or invalid:
             self.skipped.append(
@@ -170,9 +183,8 @@ class _CheckRun:
         else:
             self._run_validators(contents, version, len(model_description.variables))
         for kind in self._kinds:
-            self._add_run(
-                plugins.find("hesr.checks", kind)(model_description, contents, self._folder)
-            )
+            check_kind = plugins.find("hesr.checks", kind)
+            self._add_run(check_kind(model_description, contents, self._folder))
 
     def count_rules(self) -> int:
         """Return the number of rules that were applied."""
@@ -181,8 +193,9 @@ class _CheckRun:
 
     def _check_rules(self, model_description: ParsedDescription, contents: Contents) -> None:
         self._groups |= _DESCRIPTION_GROUPS
-        version_rules = RULES_2 if model_description.fmi == 2 else RULES_3
-        self._add(chain.from_iterable(rule(model_description) for rule in (*RULES, *version_rules)))
+        rules_of_version = {2: RULES_2, 3: RULES_3}[model_description.fmi]
+        applied_rules = (*RULES, *rules_of_version)
+        self._add(chain.from_iterable(rule(model_description) for rule in applied_rules))
         if TERMINALS in contents.files:
             connected, _ = archive.parse(TERMINALS, contents.files[TERMINALS])
             if connected is not None:
@@ -214,11 +227,20 @@ class _CheckRun:
         self._add_run(external.vdmcheck2(copy, self._folder, self._vdmcheck, count))
 
 
+def _read_build(contents: Contents) -> etree._Element | None:
+    if _BUILD not in contents.files:
+        return None
+    return archive.parse(_BUILD, contents.files[_BUILD])[0]
+
+
 def _model(contents: Contents) -> tuple[etree._Element | None, list[Problem]]:
     if _MODEL not in contents.names:
-        elsewhere = next((n for n in contents.names if n.endswith(f"/{_MODEL}")), None)
-        hint = f"; {quote(elsewhere)} is in the wrong folder" if elsewhere else ""
-        return None, [("xml-unreadable", f"{_MODEL} is missing{hint}.")]
+        sentence = f"{_MODEL} is missing."
+        for name in contents.names:
+            if name.endswith(f"/{_MODEL}"):
+                sentence = f"{_MODEL} is missing; {quote(name)} is in the wrong folder."
+                break
+        return None, [("xml-unreadable", sentence)]
     if _MODEL not in contents.files:
         return None, []
     root, texts = archive.parse(_MODEL, contents.files[_MODEL])

@@ -63,11 +63,13 @@ def machine_paths(contents: Contents) -> Iterator[Problem]:
             continue
         paths = list(dict.fromkeys(islice(_paths(_code(name, file)), MAX_PATHS)))
         if paths:
-            suffix = f" and {len(paths) - 1} more of its kind" if len(paths) > 1 else ""
+            path_text = quote(paths[0])
+            if len(paths) > 1:
+                path_text += f" and {len(paths) - 1} more of its kind"
             yield (
                 "machine-path",
-                f"{sanitise(name)}: it holds {quote(paths[0])}{suffix}, a path of the machine "
-                "where the FMU was built.",
+                f"{sanitise(name)}: it holds {path_text}, a path of the machine where the FMU was "
+                "built.",
             )
 
 
@@ -107,11 +109,13 @@ def _paths(data: bytes) -> Iterator[str]:
     for literal, before, pattern in _PLACES:
         position = data.find(literal)
         while position >= 0:
+            next_position = position + 1
             start = position - before
-            match = pattern.match(data, start) if start >= 0 else None
-            if match and _PATH_START.match(data, start):
-                yield match[0].decode("utf-8", "replace")
-            position = data.find(literal, match.end() if match else position + 1)
+            if start >= 0 and (match := pattern.match(data, start)):
+                next_position = match.end()
+                if _PATH_START.match(data, start):
+                    yield match[0].decode("utf-8", "replace")
+            position = data.find(literal, next_position)
 
 
 MAX_SOURCE_BYTES = 8 << 20  # of a source file; larger ones are data
@@ -143,31 +147,41 @@ def problems(model_description: ParsedDescription, contents: Contents) -> Iterat
     """Yield missing source files."""
     names = set(contents.names)
     has_binaries = any(name.startswith("binaries/") for name in names)
-    if not has_binaries and not any(kind.sources for kind in model_description.kinds):
+    sources = _list_sources(model_description)
+    if not has_binaries and not sources:
         yield "binary-none", "binaries and a list of source files are both missing."
-    listed = dict.fromkeys(source for kind in model_description.kinds for source in kind.sources)
-    # Some begin with "./".
-    missing = [source for source in listed if posixpath.normpath(_FOLDER + source) not in names]
+    missing = [source for source, path in sources.items() if path not in names]
     if missing:
         yield (
             "source-missing",
             f"the description lists {count_noun(len(missing), 'source file')} that sources/ lacks: "
             f"{quote_names(missing)}.",
         )
-    yield from _includes(model_description, contents)
+    yield from _includes(set(sources.values()), contents)
 
 
-def _includes(model_description: ParsedDescription, contents: Contents) -> Iterator[Problem]:
+def _list_sources(model_description: ParsedDescription) -> dict[str, str]:
+    """Return the listed source files with their names in the archive; some begin with "./"."""
+    sources = {}
+    for kind in model_description.kinds:
+        for source in kind.sources:
+            sources[source] = posixpath.normpath(_FOLDER + source)
+    return sources
+
+
+def _includes(sources: set[str], contents: Contents) -> Iterator[Problem]:
+    """Yield unconditional includes that are missing, from listed sources or all code."""
     code = {
         name
         for name in contents.files
         if name.startswith(_FOLDER) and name.lower().endswith(SUFFIXES)
     }
     names = frozenset(contents.names)
-    source_names = (source for kind in model_description.kinds for source in kind.sources)
-    start = {posixpath.normpath(_FOLDER + source) for source in source_names} & code
-    # Nothing states the folders of headers for sources that are not listed.
-    base_names = set[str]() if start else {posixpath.basename(name) for name in names}
+    start = sources & code
+    supplied_headers = set(_FMI_HEADERS)
+    if not start:
+        # Nothing states the folders of headers for sources that are not listed.
+        supplied_headers.update(posixpath.basename(name) for name in names)
     waiting = sorted(start or code, reverse=True)
     visited = set(waiting)
     while waiting:
@@ -175,22 +189,27 @@ def _includes(model_description: ParsedDescription, contents: Contents) -> Itera
         if contents.files[name].stat().st_size > MAX_SOURCE_BYTES:
             continue
         for included, always in _read_includes(contents.read(name)):
-            places = [
-                posixpath.normpath(posixpath.join(folder, included))
-                for folder in (posixpath.dirname(name), _FOLDER)
-            ]
-            included_file = next((p for p in places if p in names), None)
-            base = posixpath.basename(included)
-            supplied = (
-                base in _FMI_HEADERS | base_names
-                or base.lower().removesuffix(".h") in _SYSTEM_HEADERS
-            )
-            if included_file is None and always and not supplied:
+            included_file = _find_included(included, name, names)
+            if included_file is None and always and not _is_supplied(included, supplied_headers):
                 text = f"{sanitise(name)}: includes {quote(included)}, which is not in the archive."
                 yield "source-include", text
             elif included_file in code and included_file not in visited:
                 visited.add(included_file)
                 waiting.append(included_file)
+
+
+def _find_included(included: str, name: str, names: frozenset[str]) -> str | None:
+    """Return the file that a source file `name` includes, None if it is not in the archive."""
+    for folder in (posixpath.dirname(name), _FOLDER):
+        path = posixpath.normpath(posixpath.join(folder, included))
+        if path in names:
+            return path
+    return None
+
+
+def _is_supplied(included: str, supplied_headers: set[str]) -> bool:
+    base = posixpath.basename(included)
+    return base in supplied_headers or base.lower().removesuffix(".h") in _SYSTEM_HEADERS
 
 
 def _read_includes(text: bytes) -> Iterator[tuple[str, bool]]:
@@ -206,8 +225,9 @@ def _read_includes(text: bytes) -> Iterator[tuple[str, bool]]:
         else:
             # An include guard does not depend on the platform.
             defined = re.match(rb"[^\n]*\s*#[ \t]*define[ \t]+(\w+)", code[match.end() :])
-            guards = depth == 0 and guard and defined and defined[1] == guard
-            depth += 0 if guards else 1
+            is_guard = depth == 0 and guard and defined and defined[1] == guard
+            if not is_guard:
+                depth += 1
 
 
 def remove_comments(text: bytes) -> bytes:

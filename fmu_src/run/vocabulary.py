@@ -59,7 +59,7 @@ def _list_names(node: ET.Element, declared: _Declared) -> Iterator[str]:
         if kind in ("any", "anyAttribute"):
             yield _ANYTHING
         elif kind in ("attribute", "element"):
-            yield child.get("name") or child.get("ref", "")
+            yield child.get("name", child.get("ref", ""))
         else:
             yield from _list_declared(child.tag, child.get("ref"), declared)
             yield from _list_declared(f"{_XS}complexType", child.get("base"), declared)

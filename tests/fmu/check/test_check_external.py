@@ -139,8 +139,8 @@ def test_a_hanging_validator_is_ended_with_its_children(
 
 
 def test_hanging_fmpy_is_reported(source_fmu, monkeypatch):
-    monkeypatch.setattr(external, "FMPY_SECONDS", 0.01)
-    assert Containing("FMPy gave no answer within 0.01 s") in check(source_fmu).skipped
+    monkeypatch.setattr(external, "FMPY_SECONDS", 0.0)
+    assert Containing("FMPy gave no answer within 0 s") in check(source_fmu).skipped
 
 
 def test_a_name_that_makes_fmpy_hang_is_bounded(source_fmu, tmp_path, monkeypatch):
