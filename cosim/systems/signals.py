@@ -46,7 +46,9 @@ class Signals:
 
         Raises SimulationError if it was not observed.
         """
-        names = [signal] if signal in self.signals else []
+        names = []
+        if signal in self.signals:
+            names.append(signal)
         while (name := f"{signal}[{len(names) + 1}]") in self.signals:
             names.append(name)
         if not names:

@@ -1,7 +1,7 @@
 """Fixed-step master of a system of FMUs, and systems read from their files."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import KW_ONLY, dataclass
 from functools import partial, reduce
 from pathlib import Path
@@ -12,7 +12,7 @@ import numpy as np
 
 from cosim.systems.sampled_inputs import SampledInputs
 from cosim.systems.signals import Signals
-from cosim.systems.system import SystemSpec, Value, open_system
+from cosim.systems.system import ComponentSpec, SystemSpec, Value, open_system
 from cosim.systems.wiring import Wiring
 from fmu_src.arm.clock import stop_clock
 from fmu_src.run.fmu import SECONDS, FmuInstance, FmuPool, build_mixed_buffer, text_from_number
@@ -135,8 +135,13 @@ class Master:
 
     def __enter__(self) -> "Master":
         with ExitStack() as cleanup:
-            lend = self.loaded.lend if self.loaded else partial(FmuInstance, exchange=self.exchange)
-            sandbox = None if self.isolate else cleanup.enter_context(SystemSandbox(SECONDS))
+            lend: Callable[..., AbstractContextManager[FmuInstance]]
+            lend = partial(FmuInstance, exchange=self.exchange)
+            if self.loaded:
+                lend = self.loaded.lend
+            sandbox = None
+            if not self.isolate:
+                sandbox = cleanup.enter_context(SystemSandbox(SECONDS))
             self._slaves = {
                 component.name: cleanup.enter_context(
                     lend(component.fmu, name=component.name, system=sandbox)
@@ -161,36 +166,16 @@ class Master:
             *wiring.observed,
             *(element for element, _ in wiring.limited),
         ]
-        order = [*self._slaves, *([self.source.name] if self.source else [])]
+        order = [*self._slaves]
+        if self.source:
+            order.append(self.source.name)
         names = sorted(dict.fromkeys(layout_elements), key=lambda element: order.index(element[0]))
         indices = {element: i for i, element in enumerate(names)}
         values = np.zeros(len(indices))
-        stations = []
-        for component in self.system.components:
-            instance = self._slaves[component.name]
-            component_outputs = [element for element in names if element[0] == component.name]
-            fed_inputs = [target for target in wiring.sources if target[0] == component.name]
-            start = indices[component_outputs[0]] if component_outputs else 0
-            component_values = values[start : start + len(component_outputs)]
-            stations.append(
-                Station(
-                    slave=instance,
-                    every=self.system.find_step_multiple(component),
-                    inputs=build_mixed_buffer(instance, [variable for _, variable in fed_inputs]),
-                    sources=np.array(
-                        [indices[wiring.sources[target]] for target in fed_inputs], dtype=np.intp
-                    ),
-                    outputs=build_mixed_buffer(
-                        instance, [variable for _, variable in component_outputs], component_values
-                    ),
-                    begin=self.system.begin,
-                    conversions=[
-                        (i, convert)
-                        for i, target in enumerate(fed_inputs)
-                        if (convert := self._build_conversion(target))
-                    ],
-                )
-            )
+        stations = [
+            self._component_station(component, indices, values)
+            for component in self.system.components
+        ]
         if self.source:
             stations.append(self._source_station(self.source, names, values))
         lower, upper = np.array([bounds for _, bounds in wiring.limited]).reshape(-1, 2).T
@@ -209,16 +194,51 @@ class Master:
             times=self.times,
         )
         layout = self._layout
-        native = native_stepper(layout) or sandbox_stepper(layout) if self.native else None
+        native = None
+        if self.native:
+            native = native_stepper(layout) or sandbox_stepper(layout)
         self._stepper: PythonStepper | NativeStepper | SandboxStepper
         self._stepper = native or PythonStepper(layout)
+
+    def _component_station(
+        self, component: ComponentSpec, indices: Mapping[Element, int], values: Array
+    ) -> Station:
+        """Return the station of an FMU, whose outputs are next to each other in `values` (n,)."""
+        instance = self._slaves[component.name]
+        output_names = [variable for name, variable in indices if name == component.name]
+        output_values = values[:0]
+        if output_names:
+            start = indices[component.name, output_names[0]]
+            output_values = values[start : start + len(output_names)]
+        input_names = []
+        source_indices = []
+        conversions = []
+        for target, source in self._wiring.sources.items():
+            if target[0] != component.name:
+                continue
+            convert = self._build_conversion(target)
+            if convert is not None:
+                conversions.append((len(input_names), convert))
+            input_names.append(target[1])
+            source_indices.append(indices[source])
+        return Station(
+            slave=instance,
+            every=self.system.find_step_multiple(component),
+            inputs=build_mixed_buffer(instance, input_names),
+            sources=np.array(source_indices, dtype=np.intp),
+            outputs=build_mixed_buffer(instance, output_names, output_values),
+            begin=self.system.begin,
+            conversions=conversions,
+        )
 
     def _source_station(
         self, source: SampledInputs, names: Sequence[Element], values: Array
     ) -> Station:
         """Return the last station, so that the FMUs step with the inputs of a step's beginning."""
         places = [i for i, (name, _) in enumerate(names) if name == source.name]
-        part = values[places[0] : places[-1] + 1] if places else values[:0]
+        part = values[:0]
+        if places:
+            part = values[places[0] : places[-1] + 1]
         return Station(
             slave=source,
             every=1,
@@ -235,7 +255,9 @@ class Master:
 
     def _build_conversion(self, target: Element) -> Convert | None:
         steps = self.system.conversions.get(".".join(target), ())
-        return partial(reduce, lambda value, step: step(value), steps) if steps else None
+        if not steps:
+            return None
+        return partial(reduce, lambda value, step: step(value), steps)
 
     def _build_links(self, indices: Mapping[Element, int]) -> Iterator[Link]:
         sources = self._wiring.sources
@@ -296,7 +318,9 @@ class Master:
         return Signals(t=t, signals=signals, failure=failure)
 
     def _signal_name(self, element: Element) -> str:
-        return element[1] if self.single else ".".join(element)
+        if self.single:
+            return element[1]
+        return ".".join(element)
 
     def _convert_type(self, element: Element, values: Array) -> Array:
         kind = self._slaves[element[0]].variables[element[1]].type
@@ -304,7 +328,9 @@ class Master:
             return np.array([text_from_number(value) for value in values])
         if kind in ("Real", "Float32"):
             return values
-        return values.astype(bool if kind == "Boolean" else np.int64)
+        if kind == "Boolean":
+            return values.astype(bool)
+        return values.astype(np.int64)
 
     def require_start(self, start: Mapping[str, Mapping[str, Value]], path: Path) -> None:
         """Raise ConfigError, naming `path`, if start values do not fit the system."""

@@ -13,7 +13,7 @@ from cosim.systems.sampled_inputs import SOURCE, SampledInputs, find_jumps
 from cosim.systems.simulation import Master
 from cosim.systems.system import ComponentSpec, SystemSpec, Value
 from fmu_src.run.archive import Archive
-from fmu_src.run.variables import Variables, read_packed_description
+from fmu_src.run.variables import Declared, Variables, read_packed_description
 from hesr_model.errors import ArgumentError, ArtifactError, ConfigError, SimulationError
 from hesr_model.support.arrays import Array
 
@@ -40,8 +40,10 @@ def read_experiment(
     start_time = _read_time(fmu, model_description, times, "start")
     stop_time = _read_time(fmu, model_description, times, "stop")
     step_size = _read_time(fmu, model_description, times, "step")
-    start_time = 0.0 if start_time is None else start_time
-    stop_time = start_time + 1.0 if stop_time is None else stop_time
+    if start_time is None:
+        start_time = 0.0
+    if stop_time is None:
+        stop_time = start_time + 1.0
     if not stop_time > start_time:
         raise ArgumentError(
             f"{fmu}: 'stop' is {stop_time:g} s, not after the start, {start_time:g} s."
@@ -135,15 +137,7 @@ def open_single(
     Times default to those of its experiment; `inputs` have a column ``time``, linear for continuous
     variables and held for others. Raises ConfigError or SimulationError.
     """
-    try:
-        with Archive(fmu) as archive:
-            model_description, declared = read_packed_description(archive)
-    except ArtifactError as error:
-        raise SimulationError(f"{error}") from error
-    if model_description.fmiVersion == "1.0":
-        raise ConfigError(f"{fmu}: is of FMI 1.0; export it for FMI 2.0 or 3.0.")
-    if model_description.coSimulation is None and model_description.modelExchange is None:
-        raise ConfigError(f"{fmu}: is for scheduled execution only; export it for co-simulation.")
+    model_description, declared = _read_runnable_description(fmu)
     experiment = read_experiment(fmu, model_description, times)
     variables = Variables(fmu, model_description, declared)
     _require_settable(fmu, variables, values)
@@ -152,7 +146,9 @@ def open_single(
     any_step = exchange or bool(
         model_description.coSimulation.canHandleVariableCommunicationStepSize
     )
-    t = inputs["time"] if columns else np.zeros(1)
+    t = np.zeros(1)
+    if columns:
+        t = inputs["time"]
     jumps = find_jumps(t, columns, variables)
     points, evenly_spaced = find_communication_points(experiment, jumps, any_step=any_step)
     if len(points) < 2:
@@ -166,11 +162,19 @@ def open_single(
             _COMPONENT_NAME, variables, t=t, columns=columns, points=points, exchange=exchange
         )
     count = len(points) - 1
+    if evenly_spaced:
+        run_times = None
+        step_size = experiment.step
+        stop_time = experiment.begin + count * experiment.step
+    else:
+        run_times = points
+        step_size = float(points[-1] - points[0]) / count  # the mean one
+        stop_time = float(points[-1])
     system = SystemSpec(
         name=str(model_description.modelName or fmu.stem),
-        step=experiment.step if evenly_spaced else float(points[-1] - points[0]) / count,
+        step=step_size,
         begin=experiment.begin,
-        stop=experiment.begin + count * experiment.step if evenly_spaced else float(points[-1]),
+        stop=stop_time,
         components=(ComponentSpec(name=_COMPONENT_NAME, fmu=fmu, start=dict(values)),),
         connections={f"{_COMPONENT_NAME}.{name}": f"{SOURCE}.{name}" for name in columns},
         open_inputs=True,
@@ -181,12 +185,26 @@ def open_single(
         fmu,
         isolate=isolate,
         source=source,
-        times=None if evenly_spaced else points,
+        times=run_times,
         exchange=exchange,
         single=True,
     )
     with master:
         yield master
+
+
+def _read_runnable_description(fmu: Path) -> tuple[Any, list[Declared]]:
+    """Return the description of an FMU that can be run, and its variables of FMI 3.0."""
+    try:
+        with Archive(fmu) as archive:
+            model_description, declared = read_packed_description(archive)
+    except ArtifactError as error:
+        raise SimulationError(f"{error}") from error
+    if model_description.fmiVersion == "1.0":
+        raise ConfigError(f"{fmu}: is of FMI 1.0; export it for FMI 2.0 or 3.0.")
+    if model_description.coSimulation is None and model_description.modelExchange is None:
+        raise ConfigError(f"{fmu}: is for scheduled execution only; export it for co-simulation.")
+    return model_description, declared
 
 
 def _choose_outputs(model_description: Any) -> list[str]:
@@ -200,8 +218,10 @@ def _choose_outputs(model_description: Any) -> list[str]:
     if outputs:
         return outputs
     states = [unknown.variable.derivative for unknown in model_description.derivatives or ()]
-    shown_states = [state.name for state in states if state is not None]
-    return (shown_states or [variable.name for variable in observable])[:_MAX_STATES]
+    state_names = [state.name for state in states if state is not None]
+    if state_names:
+        return state_names[:_MAX_STATES]
+    return [variable.name for variable in observable[:_MAX_STATES]]
 
 
 def _require_settable(fmu: Path, variables: Variables, values: Mapping[str, Value]) -> None:

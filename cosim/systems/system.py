@@ -56,7 +56,9 @@ class Conversion(Config):
 
     def __call__(self, value: float) -> float:
         """Return the converted value; values outside a table are kept."""
-        return self.table.get(value, value) if self.table else self.factor * value + self.offset
+        if self.table:
+            return self.table.get(value, value)
+        return self.factor * value + self.offset
 
 
 class SystemOutput(Config):

@@ -1,6 +1,6 @@
 """Connections of a system, checked against its FMUs."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from graphlib import CycleError, TopologicalSorter
 from itertools import chain
 from pathlib import Path
@@ -105,7 +105,9 @@ class Wiring:
 
     def _bounds(self, signal: str, bounds: Any, where: str) -> Iterator[tuple[Element, Bounds]]:
         elements = self.elements(signal, where, "Real")
-        pairs = bounds if isinstance(bounds[0], tuple) else (bounds,) * len(elements)
+        pairs = bounds
+        if not isinstance(bounds[0], tuple):
+            pairs = (bounds,) * len(elements)
         if len(pairs) != len(elements):
             raise self._error(
                 f"{where}: {len(pairs)} pairs for {len(elements)} elements.",
@@ -136,6 +138,24 @@ class Wiring:
             self.sources[input_element] = output_element
 
     def _require_fit(self, target: Element, source: Element, where: str) -> None:
+        """Raise ConfigError unless an input takes an output: causality, type and unit."""
+        self._require_causality(target, source, where)
+        input_name, input_variable = target
+        output_name, output_variable = source
+        input_type = self._slaves[input_name][input_variable].type
+        output_type = self._slaves[output_name][output_variable].type
+        if output_type not in _ACCEPTED_TYPES.get(input_type, ()):
+            raise self._error(
+                f"{where}: the input is of type {input_type}, the output of type {output_type}, "
+                "which does not fit.",
+                code="system.types",
+                key=_find_key(where),
+            )
+        is_converted = ".".join(target) in self._converted
+        if not is_converted and "Real" in (input_type, output_type):
+            self._require_unit(target, source, where)
+
+    def _require_causality(self, target: Element, source: Element, where: str) -> None:
         for (name, variable), expected in ((target, "input"), (source, "output")):
             causality = self._slaves[name][variable].causality
             if causality != expected:
@@ -145,16 +165,8 @@ class Wiring:
                     code="system.causality",
                     key=_find_key(where),
                 )
-        kinds = [self._slaves[name][variable].type for name, variable in (target, source)]
-        if kinds[1] not in _ACCEPTED_TYPES.get(kinds[0], ()):
-            raise self._error(
-                f"{where}: the input is of type {kinds[0]}, the output of type {kinds[1]}, which "
-                "does not fit.",
-                code="system.types",
-                key=_find_key(where),
-            )
-        if ".".join(target) in self._converted or "Real" not in kinds:
-            return
+
+    def _require_unit(self, target: Element, source: Element, where: str) -> None:
         target_unit, source_unit = (
             self._slaves[name].unit(variable) for name, variable in (target, source)
         )
@@ -183,24 +195,23 @@ class Wiring:
             return tuple(TopologicalSorter(graph).static_order())
         except CycleError as error:
             loop = error.args[1]
-            undeclared = [
-                name
-                for name in dict.fromkeys(name for name, _ in loop)
-                if not self._slaves[name].declares_feedthrough
-            ]
-            hint = "".join(
-                f" ('{name}' does not say what its outputs depend on: every input counts)"
-                for name in undeclared
-            )
-            if undeclared:
-                hint += "; 'order' \"jacobi\" exchanges values of the step before"
             raise ArgumentError(
                 f"{self._path}: algebraic loop through direct feedthrough: "
-                f"{' -> '.join(map('.'.join, loop))}{hint}.",
+                f"{' -> '.join(map('.'.join, loop))}{self._explain_loop(loop)}.",
                 code="system.loop",
                 where=self._path,
                 key="connections",
             ) from error
+
+    def _explain_loop(self, loop: Sequence[Element]) -> str:
+        """Return which components of a loop state no dependencies, and the remedy, or ""."""
+        hint = ""
+        for name in dict.fromkeys(name for name, _ in loop):
+            if not self._slaves[name].declares_feedthrough:
+                hint += f" ('{name}' does not say what its outputs depend on: every input counts)"
+        if hint:
+            hint += "; 'order' \"jacobi\" exchanges values of the step before"
+        return hint
 
 
 _TABLES = {"connection": "connections", "limits": "limits", "observed": "observe"}
@@ -211,4 +222,6 @@ def _find_key(where: str) -> str:
     kind, _, remainder = where.partition("'")
     table = _TABLES.get(kind.partition(" ")[0])
     signal = remainder.partition("'")[0]
-    return f"{table}.{signal}" if table else signal or where
+    if table:
+        return f"{table}.{signal}"
+    return signal or where
