@@ -35,13 +35,12 @@ class SystemContents:
     @property
     def used_outputs(self) -> list[Element]:
         """Connected or observed outputs, in the order of the components."""
-        referenced = dict.fromkeys([*self.wiring.sources.values(), *self.wiring.observed])
-        return [
-            (name, output)
-            for name, variables in self.variables.items()
-            for output in variables.feedthrough
-            if (name, output) in referenced
-        ]
+        referenced = {*self.wiring.sources.values(), *self.wiring.observed}
+        used_outputs = []
+        for name, variables in self.variables.items():
+            outputs = [(name, output) for output in variables.feedthrough]
+            used_outputs += [output for output in outputs if output in referenced]
+        return used_outputs
 
     def units(self, elements: Iterable[Element]) -> dict[str, UnitExponents]:
         """Return the defined units of variables by name; the first one if definitions differ."""
@@ -57,12 +56,16 @@ class SystemContents:
         name, variable = element
         unit, exponents = self.variables[name].unit(variable)
         is_defined = unit and exponents is not None and defined.get(unit) == exponents
-        return {"unit": str(unit)} if is_defined and self.find_type(element) == "Real" else {}
+        if not is_defined or self.find_type(element) != "Real":
+            return {}
+        return {"unit": str(unit)}
 
     def find_type(self, element: Element) -> str:
         """Return the type of a variable; Integer for an Enumeration, which libcosim refuses."""
         kind = self.variables[element[0]][element[1]].type
-        return "Integer" if kind == "Enumeration" else str(kind)
+        if kind == "Enumeration":
+            return "Integer"
+        return str(kind)
 
 
 def read_contents(system: SystemSpec, path: Path) -> SystemContents:
@@ -112,7 +115,9 @@ def _find_newest_date(dates: Iterable[str | None]) -> str:
             date = datetime.fromisoformat(re.sub(r"\.\d+", "", text or ""))
         except ValueError:
             continue
-        valid_dates.append(date if date.tzinfo else date.replace(tzinfo=UTC))
+        if date.tzinfo is None:
+            date = date.replace(tzinfo=UTC)
+        valid_dates.append(date)
     newest = max(valid_dates, default=datetime.fromisoformat(RELEASE_DATE))
     return min(max(newest, _FIRST_DATE), _LAST_DATE).astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
@@ -133,7 +138,7 @@ NAMESPACES = {
     "xmlns:ssv": f"{_STANDARD}ParameterValues",
 }
 
-UNIT_DEFAULTS = {key: 1.0 if key == "factor" else 0.0 for key in SI}
+UNIT_DEFAULTS = dict.fromkeys(SI, 0.0) | {"factor": 1.0}
 
 
 def format_value(kind: str, value: float | str) -> str:
@@ -141,8 +146,13 @@ def format_value(kind: str, value: float | str) -> str:
     if kind == "String":
         return str(value)
     if kind == "Boolean":
-        return "true" if value else "false"
-    return repr(float(value)) if kind == "Real" else str(int(value))
+        return str(bool(value)).lower()
+    if kind == "Real":
+        return repr(float(value))
+    return str(int(value))
+
+
+_UNIT_TYPES = {"factor": "Real", "offset": "Real"}  # others are exponents
 
 
 def add_units(parent: ET.Element, tag: str, units: Mapping[str, UnitExponents]) -> None:
@@ -151,11 +161,11 @@ def add_units(parent: ET.Element, tag: str, units: Mapping[str, UnitExponents]) 
         return
     definitions = ET.SubElement(parent, tag)
     for name, exponents in units.items():
-        attributes = {
-            key: repr(float(value)) if key in ("factor", "offset") else str(int(value))
-            for key, value in zip(SI, exponents, strict=True)
-            if float(value) != UNIT_DEFAULTS[key]
-        }
+        attributes = {}
+        for key, value in zip(SI, exponents, strict=True):
+            if float(value) != UNIT_DEFAULTS[key]:
+                kind = _UNIT_TYPES.get(key, "Integer")
+                attributes[key] = format_value(kind, value)
         unit = ET.SubElement(definitions, "ssc:Unit", name=name)
         ET.SubElement(unit, "ssc:BaseUnit", attributes)
 
@@ -182,7 +192,9 @@ def read_units(nodes: Iterable[ET.Element], where: str) -> dict[str, UnitExponen
     for node in nodes:
         name = node.get("name", "")
         base_node = node.find("{*}BaseUnit")
-        attributes = {} if base_node is None else base_node.attrib
+        if base_node is None:
+            continue
+        attributes = base_node.attrib
         numbers = dict(UNIT_DEFAULTS)
         for key in (key for key in SI if key in attributes):
             try:
@@ -191,6 +203,5 @@ def read_units(nodes: Iterable[ET.Element], where: str) -> dict[str, UnitExponen
                 raise ConfigError(
                     f"{where}: {key} of unit '{name}' is '{attributes[key]}'; it must be a number."
                 ) from error
-        if base_node is not None:
-            units[name] = tuple(numbers.values())
+        units[name] = tuple(numbers.values())
     return units

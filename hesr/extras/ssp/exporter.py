@@ -15,7 +15,9 @@ def write_system(system_path: Path, output: Path, **options: Any) -> list[str]:
 
     with open_system(system_path) as system:
         remark = export_ssp(system, system_path, output, **options)
-    return [remark] if remark else []
+    if remark is None:
+        return []
+    return [remark]
 
 
 SSP = Exporter(

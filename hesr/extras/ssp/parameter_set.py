@@ -72,12 +72,9 @@ def _list_coefficients(model: FrictionModel) -> list[tuple[str, float, str]]:
                 (name, law.values[coefficient.name], coefficient.unit)
                 for name, coefficient in names_and_coefficients
             ]
-    has_exposed = any(is_exposed(law) for law in model.laws)
-    return (
-        coefficients
-        if has_exposed
-        else [(variable.name, variable.start, variable.unit or "1") for variable in scales(model)]
-    )
+    if any(is_exposed(law) for law in model.laws):
+        return coefficients
+    return [(variable.name, variable.start, variable.unit or "1") for variable in scales(model)]
 
 
 def _build_covariances(model: FrictionModel) -> list[ET.Element]:

@@ -60,9 +60,14 @@ def export_ssp(system: SystemSpec, path: Path, output: Path, *, ssp: Version = "
     observed = [
         ".".join(element) for element in contents.wiring.observed if element not in used_outputs
     ]
-    remarks = [f"observes outputs only, not {quote_names(observed)}"] if observed else []
-    remarks += [f"has no limits of {quote_names(system.limits)}"] if system.limits else []
-    return f"The SSP {', and '.join(remarks)}." if remarks else None
+    remarks = []
+    if observed:
+        remarks.append(f"observes outputs only, not {quote_names(observed)}")
+    if system.limits:
+        remarks.append(f"has no limits of {quote_names(system.limits)}")
+    if not remarks:
+        return None
+    return f"The SSP {', and '.join(remarks)}."
 
 
 def write_ssp(contents: SystemContents, path: Path, *, version: Version = "1.0") -> Path:
@@ -87,11 +92,13 @@ def write_ssp(contents: SystemContents, path: Path, *, version: Version = "1.0")
 
 def _describe_origin(contents: SystemContents) -> dict[str, Any]:
     """Return the origin of an SSP for its record: the FMUs, and their own records."""
-    records = {}
+    records: dict[str, str | None] = {}
     for component in contents.system.components:
+        name = resource(component.name, ".fmu")
+        records[name] = None
         with zipfile.ZipFile(component.fmu) as archive:
-            has_record = record.MEMBER in archive.namelist()
-        records[resource(component.name, ".fmu")] = record.MEMBER if has_record else None
+            if record.MEMBER in archive.namelist():
+                records[name] = record.MEMBER
     return {"hesr": installed("hesr"), "records": records}
 
 

@@ -46,21 +46,26 @@ def check_ssp(path: Path, *, vdmcheck: Path | None = None) -> Report:
                     for inner_finding in report.problems
                 ]
                 skipped |= dict.fromkeys(f"{name}: {reason}" for reason in report.skipped)
+    record = ""
+    if MEMBER in contents.files and not changes:
+        record = archive.UNCHANGED
     return Report(
         path=path,
         problems=tuple(sort_by_severity(ssp_findings)),
         skipped=tuple(skipped),
-        platforms=_find_shared_platforms(platforms) if platforms else None,
-        record=archive.UNCHANGED if MEMBER in contents.files and not changes else "",
+        platforms=_find_shared_platforms(platforms),
+        record=record,
     )
 
 
-def _find_shared_platforms(platforms: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
-    """Return the platforms of all FMUs."""
-    first_platforms, *other_platforms = platforms
-    return tuple(
-        name for name in first_platforms if all(name in other for other in other_platforms)
-    )
+def _find_shared_platforms(platforms: Sequence[tuple[str, ...]]) -> tuple[str, ...] | None:
+    """Return the platforms of all FMUs, None without FMUs."""
+    if not platforms:
+        return None
+    shared_platforms = list(platforms[0])
+    for other_platforms in platforms[1:]:
+        shared_platforms = [name for name in shared_platforms if name in other_platforms]
+    return tuple(shared_platforms)
 
 
 def _check_xml_members(contents: Contents, reader: ReaderProcess) -> Iterator[Problem]:
@@ -77,27 +82,23 @@ def _check_xml_members(contents: Contents, reader: ReaderProcess) -> Iterator[Pr
 
 def _has_stop_time(contents: Contents) -> bool:
     root, _ = archive.parse(SSD, contents.files[SSD])
-    experiment = None if root is None else root.find("{*}DefaultExperiment")
+    if root is None:
+        return False
+    experiment = root.find("{*}DefaultExperiment")
     return experiment is not None and "stopTime" in experiment.attrib
 
 
 def _check_structure(path: Path, contents: Contents) -> Iterator[Problem]:
-    # Without times of its own, a system is complete all the same.
-    times = {} if _has_stop_time(contents) else {"start": 0.0, "stop": 1.0}
+    times: dict[str, float | None] = {}
+    if not _has_stop_time(contents):  # a system is complete without it
+        times = {"start": 0.0, "stop": 1.0}
     try:
         with open_ssp(path, times, {}) as system:
-            descriptions = {
-                component.name: (component.fmu, model_description(component.fmu))
+            variables = {
+                component.name: Variables(component.fmu, model_description(component.fmu))
                 for component in system.components
             }
-            Wiring(
-                system,
-                {
-                    name: Variables(*description_pair)
-                    for name, description_pair in descriptions.items()
-                },
-                path,
-            )
+            Wiring(system, variables, path)
     except UnsupportedError as error:
         yield "ssp-support", str(error).removeprefix(f"{path}: ")
     except HesrError as error:

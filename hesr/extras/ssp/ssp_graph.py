@@ -29,7 +29,8 @@ def safe_names(names: Iterable[str]) -> dict[str, str]:
         if name in unique_names:
             continue
         cleaned = re.sub(r"[^0-9A-Za-z_]", "_", name)
-        cleaned = cleaned if _is_allowed(cleaned) else f"_{cleaned}"
+        if not _is_allowed(cleaned):
+            cleaned = f"_{cleaned}"
         numbered_names = (f"{cleaned}_{k}" for k in count(2))
         unique_names[name] = next(
             candidate
@@ -79,7 +80,9 @@ class Transformation:
             if self.kind == "Linear":
                 return self.factor * value + self.offset
             mapped_text = self.table[str(value)]
-            return mapped_text if self.kind in ("Boolean", "Enumeration") else int(mapped_text)
+            if self.kind in ("Boolean", "Enumeration"):
+                return mapped_text
+            return int(mapped_text)
         except KeyError:
             return value
         except (TypeError, ValueError) as error:
@@ -118,19 +121,20 @@ class ConnectorGraph:
     def add(self, source: ConnectorName, hop: Hop) -> None:
         """Add a connection; raise ConfigError if its target is connected already."""
         if hop.target in self.order:
-            connected_sources = (
-                node
-                for node, hops in self.hops.items()
-                for other_hop in hops
-                if other_hop.target == hop.target
-            )
             raise ConfigError(
                 f"'{format_connector(hop.target)}' is connected to "
-                f"'{format_connector(next(connected_sources))}' and to "
+                f"'{format_connector(self.find_source(hop.target))}' and to "
                 f"'{format_connector(source)}'."
             )
         self.order[hop.target] = len(self.order)
         self.hops.setdefault(source, []).append(hop)
+
+    def find_source(self, target: ConnectorName) -> ConnectorName:
+        """Return the connector that gives a connected one its values."""
+        for node, hops in self.hops.items():
+            if any(hop.target == target for hop in hops):
+                return node
+        raise KeyError(target)
 
     def find_paths(
         self, node: ConnectorName, path: tuple[Hop, ...] = (), *, to_root: bool = False
@@ -140,7 +144,9 @@ class ConnectorGraph:
             if hop in path:
                 raise ConfigError(f"'{format_connector(node)}' is connected to itself.")
             extended_path = (*path, hop)
-            has_arrived = hop.target[0] == () if to_root else hop.target[0] in self.variables
+            has_arrived = hop.target[0] in self.variables
+            if to_root:
+                has_arrived = hop.target[0] == ()
             if has_arrived:
                 yield extended_path
             elif hop.target[0] not in self.variables:
@@ -154,10 +160,13 @@ class ConnectorGraph:
             return stated_unit
         try:
             name, exponents = stated_unit or variables.unit(node[1])
-            exponents = _remove_offset(exponents) if variables.relative(node[1]) else exponents
+            if variables.relative(node[1]):
+                exponents = _remove_offset(exponents)
         except SimulationError:
             return stated_unit
-        return None if name is None else (name, exponents)
+        if name is None:
+            return None
+        return name, exponents
 
     def find_conversions(
         self, source: ConnectorName, path: Sequence[Hop], unit: Unit | None
@@ -185,9 +194,12 @@ class ConnectorGraph:
     ) -> Conversion:
         kind = transformation.kind
         # An output of the whole system has the type that its transformation gives.
-        target_type = self.variables[target[0]][target[1]].type if target[0] else ""
-        if target[0] and target_type not in _RESULT_TYPES.get(kind, ()):
-            raise ConfigError(f"{where}: its transformation does not fit the type {target_type}.")
+        if target[0]:
+            target_type = self.variables[target[0]][target[1]].type
+            if target_type not in _RESULT_TYPES.get(kind, ()):
+                raise ConfigError(
+                    f"{where}: its transformation does not fit the type {target_type}."
+                )
         if kind == "Linear":
             return Conversion(factor=transformation.factor, offset=transformation.offset)
         table = dict[float, float]()
@@ -221,11 +233,9 @@ def convert_to_unit(variables: Variables, name: str, value: float, unit: Unit, w
     variable_unit, exponents = variables.unit(name)
     if variables.relative(name):  # FMI: offsets do not apply to differences
         unit, exponents = (unit[0], _remove_offset(unit[1])), _remove_offset(exponents)
-    return (
-        value
-        if variable_unit is None
-        else find_conversion(unit, (variable_unit, exponents), where)(value)
-    )
+    if variable_unit is None:
+        return value
+    return find_conversion(unit, (variable_unit, exponents), where)(value)
 
 
 def find_conversion(unit: Unit, target_unit: Unit, where: str) -> Conversion:
@@ -289,8 +299,10 @@ def format_connector(node: ConnectorName) -> str:
 def read_number(node: ET.Element, name: str, default: float, where: str) -> float:
     """Return a number in an attribute; raise ConfigError for other text."""
     text = node.get(name)
+    if text is None:
+        return default
     try:
-        parsed_number = default if text is None else float(text)
+        parsed_number = float(text)
     except ValueError:
         parsed_number = nan
     if not isfinite(parsed_number):
