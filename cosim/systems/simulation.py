@@ -210,7 +210,7 @@ class Master:
         if output_names:
             start = indices[component.name, output_names[0]]
             output_values = values[start : start + len(output_names)]
-        input_names = []
+        input_names: list[str] = []
         source_indices = []
         conversions = []
         for target, source in self._wiring.sources.items():

@@ -235,12 +235,12 @@ def _read_build(contents: Contents) -> etree._Element | None:
 
 def _model(contents: Contents) -> tuple[etree._Element | None, list[Problem]]:
     if _MODEL not in contents.names:
-        sentence = f"{_MODEL} is missing."
+        hint = ""
         for name in contents.names:
             if name.endswith(f"/{_MODEL}"):
-                sentence = f"{_MODEL} is missing; {quote(name)} is in the wrong folder."
+                hint = f"; {quote(name)} is in the wrong folder"
                 break
-        return None, [("xml-unreadable", sentence)]
+        return None, [("xml-unreadable", f"{_MODEL} is missing{hint}.")]
     if _MODEL not in contents.files:
         return None, []
     root, texts = archive.parse(_MODEL, contents.files[_MODEL])
