@@ -3,6 +3,8 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 
@@ -71,76 +73,28 @@ def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | N
     hypotheses, parts = _check_rows(logs, description, checks)
     # The acceleration of a guessed end may be wrong by all of it.
     measured_parts = [select_rows(part, part.is_measured) for part in parts]
-    is_stated = description.known is None
-    slides = tuple(robot.slides) if robot else ()
-    if robot and (not is_stated or robot.springs):
+    slides = _list_sliding(robot)
+    if robot and (description.known is not None or robot.springs):
         robot = _inform_robot(robot, measured_parts)
-    torques = (
-        [ModelTorques.from_motion(robot, part.q, part.v, part.a) for part in parts] if robot else []
-    )
-    measured_torques = [
-        select_rows(part_torques, part.is_measured)
-        for part, part_torques in zip(parts, torques, strict=False)
-    ]
-    logged_sides = [
-        to_logged_side(*pair, description.logged)
-        for pair in zip(measured_parts, measured_torques, strict=False)
-    ]
-    fits_by_part = [fit_joint_torques(part, part_torques) for part, part_torques in logged_sides]
+    modelled_parts: list[_ModelledPart] = []
+    measured_torques: list[ModelTorques | None] = [None] * len(parts)
+    if robot:
+        modelled_parts = [_ModelledPart.from_part(part, robot, description) for part in parts]
+        measured_torques = [modelled_part.measured_torques for modelled_part in modelled_parts]
     broken_joints = _collect_joints(hypotheses, ("wrap", "spikes"))
     coarse_joints = _collect_joints(hypotheses, ("coarse",))
-    for k, part in enumerate(parts):
-        part_torques = measured_torques[k] if torques else None
-        for check_omission in (omissions.check_signs, omissions.check_integral):
-            omission_hypotheses = check_omission(measured_parts[k], part_torques, description)
-            hypotheses += add_log_name(part.log, omission_hypotheses)
+    for part, measured_part, torques in zip(parts, measured_parts, measured_torques, strict=True):
+        hypotheses += _check_omissions(measured_part, torques, description)
         hypotheses += _check_motion(part, description, robot, broken_joints, coarse_joints, slides)
         hypotheses += add_log_name(part.log, positions.check_columns(part, description))
     hypotheses += _doubt_direction(parts, description)
-    for j, joint in enumerate(description.joints):
-        moving_parts = [part for part in measured_parts if part.is_moving[j]]
-        is_sliding = bool(slides) and slides[j]
-        hypotheses += omissions.doubt_one_speed(
-            joint,
-            unit_of_joint("rad/s", is_prismatic=is_sliding),
-            [part.t for part in moving_parts],
-            [part.v[:, j] for part in moving_parts],
-            moving_parts[0].find_resting_speed(j) if moving_parts else 0.0,
-        )
+    hypotheses += _doubt_one_speed(measured_parts, description, slides)
     judgement = judge(hypotheses)
     findings = list(judgement.findings)
     undecided = list(judgement.undecided)
     if robot and not _lacks_evidence(findings) and not is_hopeless(findings):
-        for k, (logged_part, part_torques) in enumerate(logged_sides):
-            part = parts[k]
-            joint_fits = fits_by_part[k]
-            clock_hypotheses, late_joints = check_clocks(
-                part, [j for j in joint_fits if joint_fits[j].r2 > NO_SIGNAL_R2], robot
-            )
-            blurred_joints = {
-                *late_joints,
-                *(j for j in joint_fits if description.joints[j] in coarse_joints),
-            }
-            part_judgement = judge(
-                add_log_name(
-                    part.log,
-                    (
-                        *clock_hypotheses,
-                        *check_torque(
-                            logged_part,
-                            joint_fits,
-                            robot,
-                            blurred_joints,
-                            part_torques,
-                            is_stated=is_stated,
-                        ),
-                        # Lost rows blur the ends as well.
-                        *positions.check_loss(
-                            *to_logged_side(part, torques[k], description.logged), robot
-                        ),
-                    ),
-                )
-            )
+        for modelled_part in modelled_parts:
+            part_judgement = judge(_check_torques(modelled_part, description, robot, coarse_joints))
             findings += part_judgement.findings
             undecided += part_judgement.undecided
         cause_judgement = judge(check_causes(measured_parts, robot))
@@ -149,10 +103,58 @@ def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | N
     return Examination(
         findings=tuple(merge_findings(_remove_followers(findings))),
         parts=tuple(parts),
-        torques=tuple(torques),
-        fits=tuple(fits_by_part),
+        torques=tuple(modelled_part.torques for modelled_part in modelled_parts),
+        fits=tuple(modelled_part.fits for modelled_part in modelled_parts),
         undecided=tuple(merge_findings(undecided)),
     )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _ModelledPart:
+    """A part of a log, and what a model and its regressions say of it.
+
+    Attributes
+    ----------
+    part : with all of its rows.
+    torques : of the model along all rows.
+    measured_torques : along the rows that smoothing did not have to guess at an end.
+    logged_part, logged_torques : of the measured rows, at the side that the log measures.
+    fits : regressions of the logged torques, by index of the joint.
+    """
+
+    part: SmoothPart
+    torques: ModelTorques
+    measured_torques: ModelTorques
+    logged_part: SmoothPart
+    logged_torques: ModelTorques
+    fits: TorqueFits
+
+    @classmethod
+    def from_part(
+        cls, part: SmoothPart, robot: Robot, description: RobotDescription
+    ) -> "_ModelledPart":
+        """Evaluate the model along a part and regress the torques."""
+        torques = ModelTorques.from_motion(robot, part.q, part.v, part.a)
+        measured_torques = select_rows(torques, part.is_measured)
+        measured_part = select_rows(part, part.is_measured)
+        logged_part, logged_torques = to_logged_side(
+            measured_part, measured_torques, description.logged
+        )
+        return cls(
+            part=part,
+            torques=torques,
+            measured_torques=measured_torques,
+            logged_part=logged_part,
+            logged_torques=logged_torques,
+            fits=fit_joint_torques(logged_part, logged_torques),
+        )
+
+
+def _list_sliding(robot: Robot | None) -> tuple[bool, ...]:
+    """Return which joints slide; empty without a model."""
+    if robot is None:
+        return ()
+    return tuple(robot.slides)
 
 
 RowCheck = Callable[[Log, RobotDescription], Iterable[Hypothesis]]
@@ -192,6 +194,44 @@ def _check_motion(
     return add_log_name(part.log, hypotheses)
 
 
+def _check_omissions(
+    part: SmoothPart, torques: ModelTorques | None, description: RobotDescription
+) -> list[Hypothesis]:
+    """Check what the measured rows of a part leave out."""
+    hypotheses = [
+        *omissions.check_signs(part, torques, description),
+        *omissions.check_integral(part, torques, description),
+    ]
+    return add_log_name(part.log, hypotheses)
+
+
+def _check_torques(
+    modelled_part: _ModelledPart,
+    description: RobotDescription,
+    robot: Robot,
+    coarse_joints: set[str],
+) -> list[Hypothesis]:
+    """Check clocks, torques and lost rows of a part against the model."""
+    part = modelled_part.part
+    fits = modelled_part.fits
+    explained_joints = [j for j, fit in fits.items() if fit.r2 > NO_SIGNAL_R2]
+    clock_hypotheses, late_joints = check_clocks(part, explained_joints, robot)
+    blurred_joints = set(late_joints)
+    blurred_joints |= {j for j in fits if description.joints[j] in coarse_joints}
+    torque_hypotheses = check_torque(
+        modelled_part.logged_part,
+        fits,
+        robot,
+        blurred_joints,
+        modelled_part.logged_torques,
+        is_stated=description.known is None,
+    )
+    # Lost rows blur the ends as well.
+    logged_side = to_logged_side(part, modelled_part.torques, description.logged)
+    loss_hypotheses = positions.check_loss(*logged_side, robot)
+    return add_log_name(part.log, (*clock_hypotheses, *torque_hypotheses, *loss_hypotheses))
+
+
 def _examine_motion(
     logs: Sequence[Log], description: RobotDescription, robot: Robot | None
 ) -> Examination:
@@ -200,7 +240,7 @@ def _examine_motion(
     hypotheses, parts = _check_rows(logs, description, checks)
     broken_joints = _collect_joints(hypotheses, ("wrap", "spikes"))
     coarse_joints = _collect_joints(hypotheses, ("coarse",))
-    slides = tuple(robot.slides) if robot else ()
+    slides = _list_sliding(robot)
     for part in parts:
         hypotheses += _check_motion(part, description, robot, broken_joints, coarse_joints, slides)
     judgement = judge(hypotheses)
@@ -224,6 +264,24 @@ def _doubt_direction(
         )
 
 
+def _doubt_one_speed(
+    parts: Sequence[SmoothPart], description: RobotDescription, slides: Sequence[bool]
+) -> Iterator[Hypothesis]:
+    """Doubt that joints which move at one speed show Coulomb and viscous friction."""
+    for j, joint in enumerate(description.joints):
+        moving_parts = [part for part in parts if part.is_moving[j]]
+        resting_speed = 0.0
+        if moving_parts:
+            resting_speed = moving_parts[0].find_resting_speed(j)
+        yield from omissions.doubt_one_speed(
+            joint,
+            unit_of_joint("rad/s", is_prismatic=bool(slides) and slides[j]),
+            [part.t for part in moving_parts],
+            [part.v[:, j] for part in moving_parts],
+            resting_speed,
+        )
+
+
 def _lacks_evidence(findings: Sequence[Finding]) -> bool:
     """Return whether torques without a sign, or unknown angles, show neither scales nor causes."""
     return any(
@@ -235,7 +293,7 @@ def _lacks_evidence(findings: Sequence[Finding]) -> bool:
 def _collect_joints(hypotheses: Sequence[Hypothesis], checks: Sequence[str]) -> set[str]:
     """Return the joints that the referee finds faulty in one of some checks."""
     findings = state(hypothesis for hypothesis in hypotheses if hypothesis.check in checks)
-    return {joint for finding in findings for joint in finding.joints}
+    return set(chain.from_iterable(finding.joints for finding in findings))
 
 
 def _inform_robot(robot: Robot, parts: Sequence[SmoothPart]) -> Robot | None:
@@ -285,55 +343,58 @@ SYMPTOMS = (
 def _replace_symptoms(
     findings: Sequence[Finding], cause_findings: Sequence[Finding]
 ) -> list[Finding]:
-    reversed_joints = {
-        joint
-        for cause_finding in cause_findings
-        if cause_finding.check == "torque-sign"
-        for joint in cause_finding.joints
-    }
-    explains_all = any(
-        cause_finding.check != "torque-sign" or not cause_finding.joints
-        for cause_finding in cause_findings
-    )
-    remaining_findings = [
-        finding
-        for finding in findings
-        if finding.check not in SYMPTOMS
-        or not (explains_all or reversed_joints & set(finding.joints))
-    ]
-    sign_observations = {
-        finding.joints: finding.found for finding in findings if finding.check == "torque-sign"
-    }
-    restated_findings = [
-        replace(cause_finding, found=sign_observations[cause_finding.joints])
-        if cause_finding.check in ("torque-sign", "position-sign")
-        and cause_finding.joints in sign_observations
-        else cause_finding
-        for cause_finding in cause_findings
-    ]
+    """Replace symptoms by causes that explain them: one of a joint only its own, others all."""
+    reversed_joints: set[str] = set()
+    explains_all = False
+    for cause_finding in cause_findings:
+        if cause_finding.check == "torque-sign":
+            reversed_joints |= set(cause_finding.joints)
+        if cause_finding.check != "torque-sign" or not cause_finding.joints:
+            explains_all = True
+    remaining_findings: list[Finding] = []
+    sign_observations: dict[tuple[str, ...], str] = {}  # by joints
+    for finding in findings:
+        is_explained = explains_all or bool(reversed_joints & set(finding.joints))
+        if finding.check not in SYMPTOMS or not is_explained:
+            remaining_findings.append(finding)
+        if finding.check == "torque-sign":
+            sign_observations[finding.joints] = finding.found
+    restated_findings: list[Finding] = []
+    for cause_finding in cause_findings:
+        is_of_sign = cause_finding.check in ("torque-sign", "position-sign")
+        if is_of_sign and cause_finding.joints in sign_observations:
+            observation = sign_observations[cause_finding.joints]
+            restated_findings.append(replace(cause_finding, found=observation))
+        else:
+            restated_findings.append(cause_finding)
     return [*remaining_findings, *restated_findings]
 
 
 def _remove_followers(findings: Sequence[Finding]) -> list[Finding]:
+    """Remove what other findings explain: contradicting velocities, and speeds in wrong units."""
     explained_joints = {
         finding.joints
         for finding in findings
         if finding.check in ("velocity-columns", "same-column")
     }
     is_coarse = any(finding.check == "coarse" for finding in findings)
-    is_hidden = is_hopeless(findings)
-    changes_units = any(
-        key.startswith("log.units") for finding in findings for key in finding.changes
-    )
-    return [
-        finding
-        for finding in findings
-        if (finding.check != "velocity-match" or finding.joints not in explained_joints)
-        and not (
-            finding.check in ("time-scale", "speed-limit")
-            and (changes_units or is_coarse or is_hidden)
-        )
-    ]
+    changes_units = any(map(_changes_units, findings))
+    explains_speeds = changes_units or is_coarse or is_hopeless(findings)
+    remaining_findings: list[Finding] = []
+    for finding in findings:
+        if finding.check == "velocity-match":
+            is_explained = finding.joints in explained_joints
+        elif finding.check in ("time-scale", "speed-limit"):
+            is_explained = explains_speeds
+        else:
+            is_explained = False
+        if not is_explained:
+            remaining_findings.append(finding)
+    return remaining_findings
+
+
+def _changes_units(finding: Finding) -> bool:
+    return any(key.startswith("log.units") for key in finding.changes)
 
 
 def check_logs(logs: Sequence[Log], robot: Robot, accepted: Sequence[str] = ()) -> list[Finding]:
@@ -362,9 +423,9 @@ def _list_checks(findings: Sequence[Finding]) -> list[str]:
 
 def _format_refusal(findings: Sequence[Finding]) -> str:
     lines = [f"{finding.sentence} [{finding.check}]" for finding in findings]
-    hint = "hesr inspect tries the changes on these logs. " * any(
-        finding.changes for finding in findings
-    )
+    hint = ""
+    if any(finding.changes for finding in findings):
+        hint = "hesr inspect tries the changes on these logs. "
     advice = f"{hint}To continue anyway: accept={_list_checks(findings)}."
     if len(lines) == 1:
         return f"{lines[0]} {advice}"
@@ -378,34 +439,30 @@ def add_log_name(log: Log, hypotheses: Iterable[Hypothesis]) -> list[Hypothesis]
 
 def merge_findings(findings: Iterable[Finding]) -> list[Finding]:
     """Merge findings of several logs or joints; errors first."""
-    log_findings = _merge_by_key(findings, lambda finding: (finding.check, finding.joints))
-    return sort_by_severity(
-        _merge_by_key(
-            log_findings,
-            lambda finding: (
-                finding.check,
-                finding.severity,
-                finding.remedy,
-                repr(finding.changes),
-            ),
-        )
-    )
+    log_findings = _merge_by_key(findings, _get_place)
+    return sort_by_severity(_merge_by_key(log_findings, _get_statement))
+
+
+def _get_place(finding: Finding) -> tuple[str, tuple[str, ...]]:
+    return finding.check, finding.joints
+
+
+def _get_statement(finding: Finding) -> tuple[str, str, str, str]:
+    return finding.check, finding.severity, finding.remedy, repr(finding.changes)
 
 
 def _merge_by_key(findings: Iterable[Finding], key: Callable[[Finding], object]) -> list[Finding]:
+    """Merge findings with the same key; the worst one speaks for the joints and logs of all."""
     groups: dict[object, list[Finding]] = {}
     for finding in findings:
         groups.setdefault(key(finding), []).append(finding)
-    return [
-        replace(
-            sort_by_severity(group_findings)[0],
-            joints=tuple(
-                dict.fromkeys(joint for finding in group_findings for joint in finding.joints)
-            ),
-            logs=tuple(dict.fromkeys(log for finding in group_findings for log in finding.logs)),
-        )
-        for group_findings in groups.values()
-    ]
+    merged_findings = []
+    for group in groups.values():
+        worst_finding = sort_by_severity(group)[0]
+        joints = dict.fromkeys(chain.from_iterable(finding.joints for finding in group))
+        logs = dict.fromkeys(chain.from_iterable(finding.logs for finding in group))
+        merged_findings.append(replace(worst_finding, joints=tuple(joints), logs=tuple(logs)))
+    return merged_findings
 
 
 def require_sound(findings: Sequence[Finding], accepted: Sequence[str] = ()) -> list[Finding]:
@@ -451,28 +508,36 @@ def find_unseen_effects(
         for joint in finding.joints or ("all joints",):
             yield joint, f"{finding.found}: {finding.remedy}"
     for j, joint in enumerate(joints):
-        part_numbers = [k for k, part in enumerate(examination.parts) if part.is_moving[j]]
-        if not part_numbers:
-            yield joint, "it does not move in any log"
-            continue
-        speeds = [examination.parts[k].v[:, j] for k in part_numbers]
-        v = np.concatenate(speeds)
-        resting_speed = examination.parts[0].find_resting_speed(j)
-        if sum(len(reversals(speed, resting_speed)) for speed in speeds) < _MIN_REVERSALS:
-            yield joint, f"fewer than {_MIN_REVERSALS} reversals: neither hysteresis nor an offset"
-        if np.mean(~moving(v, resting_speed)) < _MIN_REST_SHARE:
-            yield joint, "hardly any rest: no stiction"
-        if np.mean(np.abs(v) < _SLOW_SPEED_SHARE * np.max(np.abs(v))) < _MIN_SLOW_ROWS_SHARE:
-            yield joint, "hardly any slow motion: no Stribeck effect"
-        fits = [
-            joint_fits[j]
-            for k, joint_fits in enumerate(examination.fits)
-            if k in part_numbers and j in joint_fits
-        ]
-        if fits and not any(fit.bears_gravity for fit in fits):
-            yield joint, "no gravity torque: its torque constant cannot be checked"
-        elif fits and not any(map(_changes_load, fits)):
-            yield joint, "hardly any change of load: no load-dependent friction"
+        for effect in _find_unseen_of_joint(examination, j):
+            yield joint, effect
+
+
+def _find_unseen_of_joint(examination: Examination, j: int) -> Iterator[str]:
+    """Yield effects that the motion and the torques of a joint do not show."""
+    part_numbers = [k for k, part in enumerate(examination.parts) if part.is_moving[j]]
+    if not part_numbers:
+        yield "it does not move in any log"
+        return
+    speeds = [examination.parts[k].v[:, j] for k in part_numbers]
+    v = np.concatenate(speeds)
+    resting_speed = examination.parts[0].find_resting_speed(j)
+    reversal_count = sum(len(reversals(speed, resting_speed)) for speed in speeds)
+    if reversal_count < _MIN_REVERSALS:
+        yield f"fewer than {_MIN_REVERSALS} reversals: neither hysteresis nor an offset"
+    if np.mean(~moving(v, resting_speed)) < _MIN_REST_SHARE:
+        yield "hardly any rest: no stiction"
+    is_slow = np.abs(v) < _SLOW_SPEED_SHARE * np.max(np.abs(v))
+    if np.mean(is_slow) < _MIN_SLOW_ROWS_SHARE:
+        yield "hardly any slow motion: no Stribeck effect"
+    fits = [
+        joint_fits[j]
+        for k, joint_fits in enumerate(examination.fits)
+        if k in part_numbers and j in joint_fits
+    ]
+    if fits and not any(fit.bears_gravity for fit in fits):
+        yield "no gravity torque: its torque constant cannot be checked"
+    elif fits and not any(map(_changes_load, fits)):
+        yield "hardly any change of load: no load-dependent friction"
 
 
 _STATE_COUNT = 60
@@ -501,29 +566,34 @@ def _find_usual_speeds(motions: Sequence[Log | Motion], robot: Robot) -> Array:
     usual_speeds = np.zeros(robot.n)
     if not motions:
         return usual_speeds
-    velocities = [
-        efforts.compute_speeds(motion) if isinstance(motion, Log) else motion.dq
-        for motion in motions
-    ]
+    velocities = [_compute_velocities(motion) for motion in motions]
     speeds = np.abs(transform_motion(robot.description.coupling, np.concatenate(velocities)))
     for j, joint_speeds in enumerate(speeds.T):
         moving_speeds = joint_speeds[joint_speeds > _SLOW_SPEED_SHARE * np.max(joint_speeds)]
-        usual_speeds[j] = float(np.median(moving_speeds)) if len(moving_speeds) else 0.0
+        if len(moving_speeds):
+            usual_speeds[j] = float(np.median(moving_speeds))
     return usual_speeds
+
+
+def _compute_velocities(motion: Log | Motion) -> Array:
+    """Return velocities (N, n), of a log from its positions."""
+    if isinstance(motion, Log):
+        return efforts.compute_speeds(motion)
+    return motion.dq
 
 
 def _doubt_body(body: RigidBody, robot: Robot, usual_speeds: Array) -> Iterator[Hypothesis]:
     joints = robot.description.joints
-    lowest_eigenvalue, q, j = _find_least_inertia(body, robot)
-    if lowest_eigenvalue <= 0.0:
-        positions_text = ", ".join(f"{position:.2f}" for position in q)
-        example = f"{lowest_eigenvalue:.2g}, for instance at q = {positions_text}"
+    least_inertia = _find_least_inertia(body, robot)
+    if least_inertia.eigenvalue <= 0.0:
+        positions_text = ", ".join(f"{position:.2f}" for position in least_inertia.q)
+        example = f"{least_inertia.eigenvalue:.2g}, for instance at q = {positions_text}"
         remedy = "the identified masses are not physically possible; use longer or faster logs"
         if not robot.description.known:  # which exclude it
             remedy += "; the physical body excludes such masses"
         yield Hypothesis(
             check="mass-matrix",
-            joint=joints[j],
+            joint=joints[least_inertia.j],
             observation=f"the identified mass matrix is not positive definite (eigenvalue "
             f"{example})",
             remedy=remedy,
@@ -534,6 +604,7 @@ def _doubt_body(body: RigidBody, robot: Robot, usual_speeds: Array) -> Iterator[
         speed_unit = unit_of_joint("rad/s", is_prismatic=robot.slides[j])
         # A line over the speeds seen may fall below 0 at rest, as of friction that grows with v^2.
         sliding_friction = coulomb + viscous * usual_speeds[j]
+        residual_size = max(float(body.rmse[j]), 1e-300)  # an exact fit leaves nothing
         yield Hypothesis(
             check="negative-friction",
             joint=joints[j],
@@ -544,29 +615,42 @@ def _doubt_body(body: RigidBody, robot: Robot, usual_speeds: Array) -> Iterator[
             trials=(
                 Statistic(
                     name="its negative friction over what the body leaves unexplained",
-                    estimate=Estimate(
-                        value=-sliding_friction / max(float(body.rmse[j]), 1e-300), error=0.0
-                    ),
+                    estimate=Estimate(value=-sliding_friction / residual_size, error=0.0),
                     high=_MIN_NEGATIVE_FRICTION,
                 ),
             ),
         )
 
 
-def _find_least_inertia(body: RigidBody, robot: Robot) -> tuple[float, Array, int]:
+class _LeastInertia(NamedTuple):
+    """The state in which a mass matrix is least definite.
+
+    Attributes
+    ----------
+    eigenvalue : the lowest one of the matrix over the usual inertia of its joints.
+    q : positions (n,) [rad, m].
+    j : index of the joint that moves most in this direction.
+    """
+
+    eigenvalue: float
+    q: Array
+    j: int
+
+
+def _find_least_inertia(body: RigidBody, robot: Robot) -> _LeastInertia:
     lower, upper, _ = robot.reach
     q = np.random.default_rng(0).uniform(lower, upper, (_STATE_COUNT, robot.n))
     mass_matrices, _ = robot.dynamics(body.parameters, q, np.zeros_like(q))
     mass_matrices = 0.5 * (mass_matrices + mass_matrices.transpose(0, 2, 1))
-    scale = np.sqrt(
-        np.maximum(np.abs(np.mean(np.diagonal(mass_matrices, axis1=1, axis2=2), axis=0)), 1e-12)
-    )
+    # Over the usual inertia of each joint, so that a light wrist counts as much as the base.
+    mean_inertias = np.mean(np.diagonal(mass_matrices, axis1=1, axis2=2), axis=0)
+    scale = np.sqrt(np.maximum(np.abs(mean_inertias), 1e-12))
     eigenvalues, eigenvectors = np.linalg.eigh(mass_matrices / np.outer(scale, scale))
     worst_row = int(np.argmin(eigenvalues[:, 0]))
-    return (
-        float(eigenvalues[worst_row, 0]),
-        q[worst_row],
-        int(np.argmax(np.abs(eigenvectors[worst_row, :, 0]))),
+    return _LeastInertia(
+        eigenvalue=float(eigenvalues[worst_row, 0]),
+        q=q[worst_row],
+        j=int(np.argmax(np.abs(eigenvectors[worst_row, :, 0]))),
     )
 
 
@@ -609,20 +693,22 @@ def _doubt_laws(
             continue
         for j, joint in enumerate(model.joints):
             deviation = float(np.std(np.concatenate([record.tau for record in records[j]])))
-            if (
-                len(model.training_rmse)
-                and model.training_rmse[j] >= _MIN_USELESS_ERROR * deviation
-            ):
-                yield Hypothesis(
-                    check="no-better-than-nothing",
-                    joint=joint,
-                    observation=f"the error of the law {law_name}, {model.training_rmse[j]:.3g}, "
-                    f"is no smaller than friction itself, {deviation:.3g}",
-                    remedy="the torque contains no friction to be fitted; check its column and "
-                    "its unit",
-                    severity="warning",
-                )
+            if len(model.training_rmse):
+                yield from _doubt_error(law_name, joint, model.training_rmse[j], deviation)
             yield from _doubt_ratio(law_name, joint, model.laws[j].values)
+
+
+def _doubt_error(law_name: str, joint: str, error: float, deviation: float) -> Iterator[Hypothesis]:
+    """Doubt a law whose error is that of no law."""
+    if error >= _MIN_USELESS_ERROR * deviation:
+        yield Hypothesis(
+            check="no-better-than-nothing",
+            joint=joint,
+            observation=f"the error of the law {law_name}, {error:.3g}, is no smaller than "
+            f"friction itself, {deviation:.3g}",
+            remedy="the torque contains no friction to be fitted; check its column and its unit",
+            severity="warning",
+        )
 
 
 def _doubt_ratio(law_name: str, joint: str, values: Mapping[str, float]) -> Iterator[Hypothesis]:

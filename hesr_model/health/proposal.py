@@ -4,11 +4,10 @@ import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from operator import attrgetter
 from os.path import relpath
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from hesr_model.health.choices import (
     find_missing_lines,
 )
 from hesr_model.health.columns import ColumnProposal, propose_columns
+from hesr_model.health.evidence import SmoothPart, TorqueFit
 from hesr_model.health.examine import SYMPTOMS, Examination, examine, is_hopeless
 from hesr_model.health.joints import (
     apply_changes,
@@ -33,6 +33,7 @@ from hesr_model.health.joints import (
     select_joints,
 )
 from hesr_model.health.positions import is_plausible_period
+from hesr_model.health.torque import TorqueFits
 from hesr_model.health.velocity import match_velocity
 from hesr_model.logs.csv_text import HeaderError
 from hesr_model.logs.guess import guess_columns
@@ -92,37 +93,45 @@ def inspect_logs(
     paths: Sequence[Path], robot: RobotLike | None = None, joints: Sequence[str] = ()
 ) -> Proposal:
     """Inspect logs of a known robot and its chosen joints, or by their columns alone."""
-    if robot is not None and not paths:
+    if robot is None:
+        return _inspect_unknown_robot(paths)
+    if not paths:
         description, reason = choose_joints(robot, joints)
-        proposal = Proposal(
-            description=description,
-            reasons={},
-            logs=(),
-            examination=Examination(),
-            first_findings=(),
-        )
-        return _add_doubts(proposal, {"joints": f"likely: {reason}"} if reason else {})
-    stated_description = None if robot is None or is_model_path(robot) else to_description(robot)
+        proposal = _build_unread_proposal(description, {})
+        return _add_doubts(proposal, _explain_joints(reason))
+    log_format = LogFormat()
+    if not is_model_path(robot):
+        log_format = to_description(robot).log
     try:
-        table = open_table(paths[0], stated_description.log if stated_description else LogFormat())
+        table = open_table(paths[0], log_format)
     except HeaderError as error:
-        if robot is None:
-            raise
         description = to_description(robot)
         missing_lines = find_missing_lines(error, None, description)
-        proposal = _build_refused_proposal(description, {}, missing_lines)
+        proposal = _build_unread_proposal(description, {}, missing_lines)
         raise ProposalError.from_refusal(error, proposal) from error
-    if robot is not None:
-        description = select_joints(robot, joints, table)
-        reason = ""
-        if table and not joints and is_model_path(robot):
-            description, reason = selection.select_joints_of_table(description, table)
-        reasons = {"joints": f"likely: {reason}"} if reason else {}
-        return _add_doubts(propose(paths, description, has_model=True), reasons)
-    joint_count = guess_columns(table).joint_count if table else 1
+    description = select_joints(robot, joints, table)
+    reason = ""
+    if table and not joints and is_model_path(robot):
+        description, reason = selection.select_joints_of_table(description, table)
+    return _add_doubts(propose(paths, description, has_model=True), _explain_joints(reason))
+
+
+def _inspect_unknown_robot(paths: Sequence[Path]) -> Proposal:
+    """Inspect logs by their columns alone, with as many joints as the first one has."""
+    table = open_table(paths[0], LogFormat())
+    joint_count = 1
+    if table:
+        joint_count = guess_columns(table).joint_count
     names = tuple(f"joint{number}" for number in range(1, joint_count + 1))
-    unknown_description = RobotDescription(name="robot", model=Path("unknown"), joints=names)
-    return propose(paths, unknown_description, has_model=False)
+    description = RobotDescription(name="robot", model=Path("unknown"), joints=names)
+    return propose(paths, description, has_model=False)
+
+
+def _explain_joints(reason: str) -> dict[str, str]:
+    """Return the reason for the choice of joints by its key, if there is one."""
+    if not reason:
+        return {}
+    return {"joints": f"likely: {reason}"}
 
 
 def _add_doubts(proposal: Proposal, reasons: Mapping[str, str]) -> Proposal:
@@ -141,116 +150,186 @@ def _add_doubts(proposal: Proposal, reasons: Mapping[str, str]) -> Proposal:
 
 def propose(paths: Sequence[Path], description: RobotDescription, *, has_model: bool) -> Proposal:
     """Find a description, with a model file if `has_model`, that passes the checks."""
-    reasons: dict[str, str] = {}
-    has_stated_constants = description.log.torque_per_ampere is not None
-    stated_cutoff = description.log.filter_cutoff
-
-    def read_and_examine(
-        description: RobotDescription,
-    ) -> tuple[RobotDescription, list[Log], Examination]:
-        description, logs = _read_logs(paths, description, reasons)
-        description = _limit_cutoff(description, logs, reasons, stated_cutoff)
-        return (
-            description,
-            logs,
-            examine(logs, description, Robot(description) if has_model else None),
-        )
-
-    column_proposal = _propose_columns(paths[0], description, reasons)
-    description = column_proposal.description
-    try:
-        if column_proposal.refusal is not None:
-            raise column_proposal.refusal
-        read_logs = partial(_read_changed_logs, paths, reasons)
-        changes, undecided = choose_effort(column_proposal, read_logs, reasons, has_model=has_model)
-        description, logs, examination = read_and_examine(apply_changes(description, changes))
-    except LogError as error:
-        table = open_table(paths[0], description.log)
-        missing_lines = find_missing_lines(error, table, description)
-        proposal = _build_refused_proposal(description, reasons, missing_lines)
-        raise ProposalError.from_refusal(error, proposal) from error
-    first_findings = examination.findings
+    search = _Search(paths=paths, has_model=has_model, stated_format=description.log)
+    attempt, undecided = search.begin(description)
+    first_findings = attempt.examination.findings
     if any(finding.check == "velocity-match" for finding in first_findings):
-        changes, open_choices = choose_motion(description, read_logs, reasons, has_model=has_model)
+        changes, open_choices = choose_motion(
+            attempt.description, search.read_logs, search.reasons, has_model=has_model
+        )
         undecided |= open_choices
         if changes:
-            description, logs, examination = read_and_examine(apply_changes(description, changes))
-    for _ in range(_ROUNDS):
-        findings = examination.findings
+            attempt = search.apply_and_examine(attempt.description, changes)
+    attempt = search.correct(attempt)
+    if has_model:
+        attempt = search.lock_resting_joints(attempt)
+    description = attempt.description
+    if description.log.filter_cutoff == search.stated_format.filter_cutoff:
+        search.reasons.pop("log.filter_cutoff", None)  # of a change that was only tried
+    prismatic_joints: frozenset[int] = frozenset()
+    if has_model:
+        prismatic_joints = frozenset(np.flatnonzero(Robot(description).slides).tolist())
+    findings = attempt.examination.findings
+    remaining_findings = tuple(search.withdraw_changes(finding, attempt) for finding in findings)
+    examination = replace(attempt.examination, findings=remaining_findings)
+    return Proposal(
+        description=description,
+        reasons=search.reasons,
+        logs=attempt.logs,
+        examination=examination,
+        first_findings=first_findings,
+        prismatic_joints=prismatic_joints,
+        undecided={**undecided, **find_count_size(findings, examination.parts, description)},
+    )
+
+
+class _Attempt(NamedTuple):
+    """A description that is tried, the logs read with it, and what their checks find."""
+
+    description: RobotDescription
+    logs: list[Log]
+    examination: Examination
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Search:
+    """Search for a description with which logs pass the checks.
+
+    Attributes
+    ----------
+    paths : logs.
+    has_model : whether the robot has a model file.
+    stated_format : of the logs, before changes.
+    reasons : for values of the robot file, by key; each step adds those of its changes.
+    """
+
+    paths: Sequence[Path]
+    has_model: bool
+    stated_format: LogFormat
+    reasons: dict[str, str] = field(default_factory=dict)
+
+    def read_logs(self, description: RobotDescription) -> list[Log]:
+        """Read logs with a description that may not become the proposal."""
+        return _read_logs(self.paths, description, dict(self.reasons))[1]
+
+    def read_and_examine(self, description: RobotDescription) -> _Attempt:
+        """Read logs, with what their refusals and their rate demand, and check them."""
+        description, logs = _read_logs(self.paths, description, self.reasons)
+        stated_cutoff = self.stated_format.filter_cutoff
+        description = _limit_cutoff(description, logs, self.reasons, stated_cutoff)
+        robot = Robot(description) if self.has_model else None
+        return _Attempt(description, logs, examine(logs, description, robot))
+
+    def apply_and_examine(
+        self, description: RobotDescription, changes: Mapping[str, Any]
+    ) -> _Attempt:
+        """Examine the logs with a changed description."""
+        return self.read_and_examine(apply_changes(description, changes))
+
+    def begin(self, description: RobotDescription) -> tuple[_Attempt, dict[str, Undecided]]:
+        """Examine the logs with guessed columns; return what remains undecided as well.
+
+        Raises
+        ------
+        ProposalError : the logs cannot be read yet.
+        """
+        column_proposal = _propose_columns(self.paths[0], description, self.reasons)
+        description = column_proposal.description
+        try:
+            if column_proposal.refusal is not None:
+                raise column_proposal.refusal
+            changes, undecided = choose_effort(
+                column_proposal, self.read_logs, self.reasons, has_model=self.has_model
+            )
+            return self.apply_and_examine(description, changes), undecided
+        except LogError as error:
+            table = open_table(self.paths[0], description.log)
+            missing_lines = find_missing_lines(error, table, description)
+            proposal = _build_unread_proposal(description, self.reasons, missing_lines)
+            raise ProposalError.from_refusal(error, proposal) from error
+
+    def correct(self, attempt: _Attempt) -> _Attempt:
+        """Apply the changes of findings, round by round, as long as these improve."""
+        for _ in range(_ROUNDS):
+            improvement, change_reasons = self._try_findings(attempt)
+            if improvement is None:
+                improvement = self._try_constants(attempt)
+            if improvement is None:
+                break
+            attempt = improvement
+            for key, change_reason in change_reasons.items():
+                earlier_reason = self.reasons.get(key, "")
+                if earlier_reason.startswith("guess: "):
+                    self.reasons[key] = f"{earlier_reason}; {change_reason}"
+                else:
+                    self.reasons[key] = change_reason
+        return attempt
+
+    def _try_findings(self, attempt: _Attempt) -> tuple[_Attempt | None, dict[str, str]]:
+        """Try the changes of all findings, then of each; return the first improvement."""
+        findings = attempt.examination.findings
         # A velocity that lags may be wanted; one that contradicts its position is a witness.
         candidate_findings = [
             finding for finding in findings if finding.check not in _CHOSEN_BY_TRIAL
         ]
         for target_findings in (candidate_findings, *([finding] for finding in candidate_findings)):
-            changes, change_reasons = _merge_changes(description, target_findings)
-            attempt = read_and_examine(apply_changes(description, changes)) if changes else None
-            if attempt and _is_improvement(findings, target_findings, attempt[2].findings):
-                break
-        else:
-            change_reasons = {}
-            attempt = None
-            if not has_stated_constants and "log.torque_per_ampere" in reasons and has_model:
-                changes = _estimate_constants(description, examination, reasons)
-                attempt = read_and_examine(apply_changes(description, changes)) if changes else None
-        if attempt is None:
-            break
-        description, logs, examination = attempt
-        guesses = {
-            key: reasons[key]
-            for key in change_reasons
-            if reasons.get(key, "").startswith("guess: ")
-        }
-        reasons |= change_reasons | {
-            key: f"{reason}; {change_reasons[key]}" for key, reason in guesses.items()
-        }
-    if has_model and (resting_joints := find_resting_joints(description, examination.parts)):
-        reasons["locked"] = (
-            f"likely: {', '.join(resting_joints)} rest{'s' * (len(resting_joints) == 1)} in all "
-            "logs"
+            changes, change_reasons = _merge_changes(attempt.description, target_findings)
+            if not changes:
+                continue
+            changed = self.apply_and_examine(attempt.description, changes)
+            if _is_improvement(findings, target_findings, changed.examination.findings):
+                return changed, change_reasons
+        return None, {}
+
+    def _try_constants(self, attempt: _Attempt) -> _Attempt | None:
+        """Estimate torque constants that were only guessed, if the model tells them."""
+        is_guessed = (
+            self.stated_format.torque_per_ampere is None and "log.torque_per_ampere" in self.reasons
         )
-        optional = [
-            name for name in OPTIONAL if any(getattr(log, name) is not None for log in logs)
-        ]
-        description, logs, examination = read_and_examine(
-            remove_joints(description, resting_joints, optional)
-        )
-    if description.log.filter_cutoff == stated_cutoff:
-        reasons.pop("log.filter_cutoff", None)  # of a change that was only tried
-    slides = Robot(description).slides if has_model else ()
-    findings = examination.findings
-    remaining_findings = tuple(
-        finding
-        if not finding.changes
-        or finding.check == "velocity-match"
-        or (
-            finding.check == "velocity-lag"
-            and _is_improvement(
-                findings,
-                [finding],
-                read_and_examine(
-                    apply_changes(description, _merge_changes(description, [finding])[0])
-                )[2].findings,
-            )
-        )
-        else replace(finding, remedy=_NO_REMEDY, changes={})
-        for finding in findings
-    )
-    examination = replace(examination, findings=remaining_findings)
-    return Proposal(
-        description=description,
-        reasons=reasons,
-        logs=logs,
-        examination=examination,
-        first_findings=first_findings,
-        prismatic_joints=frozenset(np.flatnonzero(slides).tolist()),
-        undecided={**undecided, **find_count_size(findings, examination.parts, description)},
-    )
+        if not (is_guessed and self.has_model):
+            return None
+        changes = _estimate_constants(attempt.description, attempt.examination, self.reasons)
+        if not changes:
+            return None
+        return self.apply_and_examine(attempt.description, changes)
+
+    def lock_resting_joints(self, attempt: _Attempt) -> _Attempt:
+        """Remove joints that rest in all logs."""
+        resting_joints = find_resting_joints(attempt.description, attempt.examination.parts)
+        if not resting_joints:
+            return attempt
+        verb = "rests" if len(resting_joints) == 1 else "rest"
+        self.reasons["locked"] = f"likely: {', '.join(resting_joints)} {verb} in all logs"
+        optional = [name for name in OPTIONAL if _has_quantity(attempt.logs, name)]
+        return self.read_and_examine(remove_joints(attempt.description, resting_joints, optional))
+
+    def withdraw_changes(self, finding: Finding, attempt: _Attempt) -> Finding:
+        """Return a finding without its changes, which were tried in vain, unless a user chooses.
+
+        A velocity that lags may be wanted: its changes stay if they would help.
+        """
+        if not finding.changes or finding.check == "velocity-match":
+            return finding
+        if finding.check == "velocity-lag":
+            changes, _ = _merge_changes(attempt.description, [finding])
+            changed = self.apply_and_examine(attempt.description, changes)
+            findings = attempt.examination.findings
+            if _is_improvement(findings, [finding], changed.examination.findings):
+                return finding
+        return replace(finding, remedy=_NO_REMEDY, changes={})
 
 
 def open_table(path: Path, log_format: LogFormat) -> LogTable | None:
     """Open a log as a table, if its columns have names."""
     read_named_table = find_format(path).table
-    return read_named_table(path, log_format) if read_named_table and path.is_file() else None
+    if read_named_table is None or not path.is_file():
+        return None
+    return read_named_table(path, log_format)
+
+
+def _has_quantity(logs: Sequence[Log], name: str) -> bool:
+    """Return whether any log has a quantity."""
+    return any(getattr(log, name) is not None for log in logs)
 
 
 def _propose_columns(
@@ -264,26 +343,19 @@ def _propose_columns(
     return proposal
 
 
-def _read_changed_logs(
-    paths: Sequence[Path], reasons: Mapping[str, str], description: RobotDescription
-) -> list[Log]:
-    """Read logs with a description that may not become the proposal."""
-    return _read_logs(paths, description, dict(reasons))[1]
-
-
-def _build_refused_proposal(
+def _build_unread_proposal(
     description: RobotDescription,
     reasons: Mapping[str, str],
-    undecided: Mapping[str, Undecided],
+    undecided: Mapping[str, Undecided] | None = None,
 ) -> Proposal:
-    """Return what is known of a log that cannot be read, and the lines that are missing."""
+    """Return what is known without reading a log, and the lines that are missing."""
     return Proposal(
         description=description,
         reasons=reasons,
         logs=(),
         examination=Examination(),
         first_findings=(),
-        undecided=undecided,
+        undecided=undecided or {},
     )
 
 
@@ -343,13 +415,14 @@ def _merge_changes(
                 attrgetter(key)(description), new_values.get(key), value
             )
             reasons.setdefault(key, {}).setdefault(finding.check, finding.found)
-    changes = {
-        key: value for key, value in new_values.items() if value != attrgetter(key)(description)
-    }
-    marks = {key: "sure" if len(reasons[key]) > 1 else "likely" for key in changes}
-    change_reasons = {
-        key: f"{mark}: {'; '.join(reasons[key].values())}" for key, mark in marks.items()
-    }
+    changes: dict[str, Any] = {}
+    change_reasons: dict[str, str] = {}
+    for key, value in new_values.items():
+        if value == attrgetter(key)(description):
+            continue
+        mark = "sure" if len(reasons[key]) > 1 else "likely"
+        changes[key] = value
+        change_reasons[key] = f"{mark}: {'; '.join(reasons[key].values())}"
     return changes, change_reasons
 
 
@@ -362,29 +435,36 @@ def _is_improvement(
     places_after = _collect_places(findings_after)
     places_before = _collect_places(findings_before)
     target_places = _collect_places(finding for finding in target_findings if finding.changes)
-    new_places = (
-        _collect_places(
-            finding
-            for finding in findings_after
-            if finding.severity == "error" or finding.check not in _HIDEABLE_CHECKS
-        )
-        - places_before
-    )
+    plain_findings = [
+        finding
+        for finding in findings_after
+        if finding.severity == "error" or finding.check not in _HIDEABLE_CHECKS
+    ]
+    new_places = _collect_places(plain_findings) - places_before
     was_hidden = is_hopeless(findings_before) and ("time-unit", "") not in new_places
     return not places_after & target_places and (was_hidden or not new_places)
 
 
 def _collect_places(findings: Iterable[Finding]) -> set[tuple[str, str]]:
-    return {(finding.check, joint) for finding in findings for joint in finding.joints or ("",)}
+    """Return check and joint of findings; without joints, one place without a name."""
+    places = set()
+    for finding in findings:
+        places |= {(finding.check, joint) for joint in finding.joints or ("",)}
+    return places
 
 
 def _merge_values(declared: Any, earlier: Any, value: Any) -> Any:
+    """Return a value by joint in which what it leaves as declared is that of an earlier one."""
     if not (isinstance(earlier, tuple) and isinstance(value, tuple)):
         return value
-    declared_values = declared if isinstance(declared, tuple) else (declared,) * len(value)
-    return tuple(
-        b if v == o else v for o, b, v in zip(declared_values, earlier, value, strict=True)
-    )
+    declared_values = declared
+    if not isinstance(declared, tuple):
+        declared_values = (declared,) * len(value)
+    merged = []
+    for declared_entry, earlier_entry, entry in zip(declared_values, earlier, value, strict=True):
+        is_as_declared = entry == declared_entry
+        merged.append(earlier_entry if is_as_declared else entry)
+    return tuple(merged)
 
 
 def _estimate_constants(
@@ -420,9 +500,15 @@ def apply_constants(proposal: Proposal, constants: Sequence[TorqueConstant]) -> 
         return proposal
     key = "torque_per_ampere"
     sources = description.sources.expand_per_joint("torque_per_ampere", len(gains))
-    triples = list(zip(constants, gains, sources, strict=True))
-    new_gains = [float(f"{c.value:.4g}") if c.determined else gain for c, gain, _ in triples]
-    new_sources = ["identified" if c.determined else source for c, _, source in triples]
+    new_gains = []
+    new_sources = []
+    for constant, gain, source in zip(constants, gains, sources, strict=True):
+        if constant.determined:
+            new_gains.append(float(f"{constant.value:.4g}"))
+            new_sources.append("identified")
+        else:
+            new_gains.append(gain)
+            new_sources.append(source)
     description = apply_changes(
         description, {f"log.{key}": tuple(new_gains), f"sources.{key}": tuple(new_sources)}
     )
@@ -456,33 +542,37 @@ def robot_text(
     log_entries = non_defaults.pop("log", {})
     if description.log.cylinder is not None:  # with its usual unit
         log_entries["cylinder"] = document["log"]["cylinder"]
-    lines = [
-        f"# {head}",
-        "",
-        *(_format_line(key, document[key], reasons.get(key, "")) for key in non_defaults),
-    ]
-    tables = {"log": {k: v for k, v in log_entries.items() if not isinstance(v, dict)}}
-    tables |= {f"log.{k}": v for k, v in log_entries.items() if isinstance(v, dict)}
+    lines = [f"# {head}", ""]
+    lines += [_format_line(key, document[key], reasons.get(key, "")) for key in non_defaults]
+    tables: dict[str, dict[str, Any]] = {"log": {}}
+    for key, value in log_entries.items():
+        if isinstance(value, dict):
+            tables[f"log.{key}"] = value
+        else:
+            tables["log"][key] = value
     choices: dict[str, dict[str, Undecided]] = {}  # by table
     for key, choice in (undecided or {}).items():
         table_name, _, name = key.rpartition(".")
         choices.setdefault(table_name, {})[name] = choice
     for table_name in dict.fromkeys((*tables, *choices)):
         entry_lines = [
-            _format_line(k, v, reasons.get(f"{table_name}.{k}", ""))
-            for k, v in tables.get(table_name, {}).items()
+            _format_line(key, value, reasons.get(f"{table_name}.{key}", ""))
+            for key, value in tables.get(table_name, {}).items()
         ]
         entry_lines += [
             f"# {name}: undecided: {choice.reason}\n# {name} = {to_toml(choice.value)}"
             for name, choice in choices.get(table_name, {}).items()
         ]
-        lines += ["", f"[{table_name}]", *entry_lines] if entry_lines else []
+        if entry_lines:
+            lines += ["", f"[{table_name}]", *entry_lines]
     return "\n".join(lines) + "\n"
 
 
 def _format_line(key: str, value: Any, reason: str) -> str:
-    comment = f"# {key}: {reason}\n" if reason else ""
-    return f"{comment}{key} = {to_toml(value)}"
+    line = f"{key} = {to_toml(value)}"
+    if not reason:
+        return line
+    return f"# {key}: {reason}\n{line}"
 
 
 def summary_rows(proposal: Proposal) -> Iterator[tuple[str, ...]]:
@@ -490,28 +580,54 @@ def summary_rows(proposal: Proposal) -> Iterator[tuple[str, ...]]:
     examination = proposal.examination
     log_names = [part.log.name for part in examination.parts]
     for k, part in enumerate(examination.parts):
-        is_only_part = log_names.count(part.log.name) == 1
-        fits = examination.fits[k] if examination.fits else {}
+        place = part.log.name
+        if log_names.count(place) > 1:
+            place = f"{place} from {part.t[0]:.3g} s"
+        fits: TorqueFits = {}
+        if examination.fits:
+            fits = examination.fits[k]
         for j in np.flatnonzero(part.is_moving):
-            fit = fits.get(int(j))
-            v = part.v[:, j]
-            resting_speed = part.find_resting_speed(int(j))
-            joint_match = None if part.dq is None else match_velocity(v, part.dq[:, j], part.period)
             yield (
-                part.log.name if is_only_part else f"{part.log.name} from {part.t[0]:.3g} s",
+                place,
                 proposal.description.joints[j],
-                f"{part.q[:, j].min():.2f} to {part.q[:, j].max():.2f}",
-                f"{np.max(np.abs(v)):.2f}",
-                str(len(reversals(v, resting_speed))),
-                f"{100 * np.mean(~moving(v, resting_speed)):.0f}",
-                "–" if joint_match is None else f"{joint_match.slope:.3f}",
-                "–" if joint_match is None else f"{1e3 * joint_match.lag:.0f}",
-                f"{fit.gravity.value:.2f} ± {fit.gravity.error:.2f}"
-                if fit and fit.bears_gravity
-                else "–",
-                f"{fit.friction.value:.3g} ({fit.friction.t:.0f})" if fit else "–",
-                f"{100 * fit.r2:.0f}" if fit else "–",
+                *_format_motion(part, int(j)),
+                *_format_fit(fits.get(int(j))),
             )
+
+
+_NO_CELL = "–"  # of what a log does not tell
+
+
+def _format_motion(part: SmoothPart, j: int) -> tuple[str, ...]:
+    """Return the cells of a joint that come from its position and velocity."""
+    q = part.q[:, j]
+    v = part.v[:, j]
+    resting_speed = part.find_resting_speed(j)
+    slope = _NO_CELL
+    lag = _NO_CELL
+    if part.dq is not None:
+        joint_match = match_velocity(v, part.dq[:, j], part.period)
+        slope = f"{joint_match.slope:.3f}"
+        lag = f"{1e3 * joint_match.lag:.0f}"
+    return (
+        f"{q.min():.2f} to {q.max():.2f}",
+        f"{np.max(np.abs(v)):.2f}",
+        str(len(reversals(v, resting_speed))),
+        f"{100 * np.mean(~moving(v, resting_speed)):.0f}",
+        slope,
+        lag,
+    )
+
+
+def _format_fit(fit: TorqueFit | None) -> tuple[str, str, str]:
+    """Return the cells of a joint that come from the regression of its torque."""
+    if fit is None:
+        return _NO_CELL, _NO_CELL, _NO_CELL
+    gravity = _NO_CELL
+    if fit.bears_gravity:
+        gravity = f"{fit.gravity.value:.2f} ± {fit.gravity.error:.2f}"
+    friction = f"{fit.friction.value:.3g} ({fit.friction.t:.0f})"
+    return gravity, friction, f"{100 * fit.r2:.0f}"
 
 
 HEAD = (
