@@ -28,6 +28,7 @@ _EARTH_GRAVITY = 9.81
 _SNAP_ANGLE = np.radians(12.0)
 _BACKWARDS = "its torque counts backwards"
 _MIN_TILT = np.radians(20.0)
+_MIN_GRAVITY_SHARE = 0.2  # of the declared gravity, below which the torques show none
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -119,8 +120,9 @@ def _mix_motion_columns(rows: SupposedRows, robot: Robot, mixing: Array) -> Supp
     mixing : (n, n) of new columns over those of the log.
     """
     description = robot.description
-    coupling = description.logged
-    to_logged = np.eye(robot.n) if coupling is None else coupling.forward
+    to_logged = np.eye(robot.n)
+    if description.logged is not None:
+        to_logged = description.logged.forward
     scales = description.log.units.factors("q", robot.n) / _find_gear_ratios(robot)
     to_columns = to_logged / scales[:, None]
     change = np.linalg.solve(to_columns, mixing @ to_columns).T
@@ -132,10 +134,11 @@ def _mix_torque_columns(rows: SupposedRows, robot: Robot, mixing: Array) -> Supp
     """Return rows whose columns of torque or current are mixed; see `_mix_motion_columns`."""
     log_format = robot.description.log
     gains = log_format.torque_per_ampere
-    quantity = "tau" if gains is None else "current"
-    scales = log_format.units.factors(quantity, robot.n) * _find_gear_ratios(robot)
-    if gains is not None:
-        scales = scales * np.array(gains)
+    gear_ratios = _find_gear_ratios(robot)
+    if gains is None:
+        scales = log_format.units.factors("tau", robot.n) * gear_ratios
+    else:
+        scales = log_format.units.factors("current", robot.n) * gear_ratios * np.array(gains)
     return replace(rows, tau=rows.tau / scales @ mixing.T * scales)
 
 
@@ -151,7 +154,9 @@ def _suppose_angle_units(rows: SupposedRows, robot: Robot) -> Iterator[Mistake]:
     """Yield other units of angles, which models without limits cannot contradict."""
     log_format = robot.description.log
     is_rotary = ~np.array(robot.slides)
-    quantities = ("q", "dq") if log_format.columns.dq else ("q",)
+    quantities = ["q"]
+    if log_format.columns.dq:
+        quantities.append("dq")
     for quantity in quantities:
         joint_units = np.array(log_format.units.expand_per_joint(quantity, robot.n), dtype=object)
         if np.any(joint_units[is_rotary] != getattr(LogUnits(), quantity)):
@@ -163,11 +168,12 @@ def _suppose_angle_units(rows: SupposedRows, robot: Robot) -> Iterator[Mistake]:
         names = {"q": unit, "dq": f"{unit}/s"}
         changes: dict[str, object] = {}
         for quantity in quantities:
-            changes[f"log.units.{quantity}"] = (
-                names[quantity]
-                if is_rotary.all()
-                else log_format.units.replace_units(quantity, is_rotary.tolist(), names[quantity])
-            )
+            units: str | tuple[str | float, ...] = names[quantity]
+            if not is_rotary.all():
+                units = log_format.units.replace_units(
+                    quantity, is_rotary.tolist(), names[quantity]
+                )
+            changes[f"log.units.{quantity}"] = units
         sizes = np.where(is_rotary, REVOLUTE_UNITS["q"][unit], 1.0)
         corrected = replace(
             rows, q=(rows.q - zero) * sizes + zero, v=rows.v * sizes, a=rows.a * sizes
@@ -177,40 +183,51 @@ def _suppose_angle_units(rows: SupposedRows, robot: Robot) -> Iterator[Mistake]:
 
 def _swap_torques(rows: SupposedRows, robot: Robot, joints: list[int]) -> Iterator[Mistake]:
     description = robot.description
-    column_key = "tau" if description.log.torque_per_ampere is None else "current"
+    column_key = "current"
+    if description.log.torque_per_ampere is None:
+        column_key = "tau"
     columns = column_names(getattr(description.log.columns, column_key), description.joints)
     for a, b in combinations(joints, 2):
         order = _swap_order(robot.n, a, b)
         swapped_columns = tuple(columns[k] for k in order)
+        changes: dict[str, object] = {f"log.columns.{column_key}": swapped_columns}
         remedy = f"its torque is swapped with that of joint '{description.joints[b]}'"
         corrected = _mix_torque_columns(rows, robot, np.eye(robot.n)[order])
-        yield Mistake(
-            "torque-columns", a, remedy, {f"log.columns.{column_key}": swapped_columns}, corrected
-        )
+        yield Mistake("torque-columns", a, remedy, changes, corrected)
 
 
 def _swap_joints(rows: SupposedRows, robot: Robot, joints: list[int]) -> Iterator[Mistake]:
     description = robot.description
-    orders = {(a, b): _swap_order(robot.n, a, b) for a, b in combinations(joints, 2)}
+    for a, b in combinations(joints, 2):
+        remedy = f"its columns are swapped with those of joint '{description.joints[b]}'"
+        yield _reorder_joints(rows, robot, a, remedy, _swap_order(robot.n, a, b))
     if len(joints) == robot.n > 2:
-        n = robot.n
-        orders[-1, -1] = list(reversed(range(n)))
-        orders[-1, 1] = [*range(1, n), 0]
-        orders[-1, 2] = [n - 1, *range(n - 1)]
-    for (a, b), order in orders.items():
-        changes = {
-            f"log.columns.{key}": tuple(column_names(columns, description.joints)[k] for k in order)
-            for key, columns in description.log.columns
-            if key != "t" and columns and columns != OPTIONAL.get(key)
-        }
-        remedy = (
-            "the columns are in another order than the joints"
-            if a < 0
-            else f"its columns are swapped with those of joint '{description.joints[b]}'"
-        )
-        mixing = np.eye(robot.n)[order]
-        corrected = _mix_torque_columns(_mix_motion_columns(rows, robot, mixing), robot, mixing)
-        yield Mistake("joint-order", a, remedy, dict(changes), corrected)
+        indices = list(range(robot.n))
+        backwards = indices[::-1]
+        one_later = [*indices[1:], indices[0]]
+        one_earlier = [indices[-1], *indices[:-1]]
+        remedy = "the columns are in another order than the joints"
+        for order in (backwards, one_later, one_earlier):
+            yield _reorder_joints(rows, robot, -1, remedy, order)
+
+
+def _reorder_joints(
+    rows: SupposedRows, robot: Robot, j: int, remedy: str, order: Sequence[int]
+) -> Mistake:
+    """Return the mistake of a joint (-1: all) whose motion and torque are in other columns.
+
+    `order` has the column of the log that belongs to each joint.
+    """
+    description = robot.description
+    changes: dict[str, object] = {}
+    for key, pattern in description.log.columns:
+        if key == "t" or not pattern or pattern == OPTIONAL.get(key):
+            continue
+        columns = column_names(pattern, description.joints)
+        changes[f"log.columns.{key}"] = tuple(columns[k] for k in order)
+    mixing = np.eye(robot.n)[order]
+    corrected = _mix_torque_columns(_mix_motion_columns(rows, robot, mixing), robot, mixing)
+    return Mistake("joint-order", j, remedy, changes, corrected)
 
 
 def _move_zeros(
@@ -230,6 +247,37 @@ def _move_zeros(
 
 
 def _estimate_gravity(rows: SupposedRows, robot: Robot, joints: list[int]) -> Iterator[Mistake]:
+    """Yield the gravity that explains the torques best, if it points elsewhere than declared."""
+    estimate = _fit_gravity(rows, robot, joints)
+    if estimate is None:
+        return
+    declared_gravity = robot.gravity
+    gravity_size = float(np.linalg.norm(declared_gravity)) or _EARTH_GRAVITY
+    estimated_size = np.linalg.norm(estimate)
+    if not estimated_size > _MIN_GRAVITY_SHARE * gravity_size:
+        return
+    direction = _snap_to_axis(estimate / estimated_size)
+    cosine = direction @ declared_gravity / gravity_size
+    if cosine > np.cos(_MIN_TILT):
+        return
+    # Adding 0 turns -0 into 0.
+    gravity = tuple(round(float(g), 3) + 0.0 for g in gravity_size * direction)
+    if not np.any(declared_gravity):
+        mismatch = "as none"
+    elif cosine < -np.cos(_MIN_TILT):
+        mismatch = "upside down"
+    else:
+        mismatch = "from another side"
+    remedy = f"gravity is declared {mismatch}"
+    corrected = replace(rows, gravity=np.array(gravity))
+    yield Mistake("gravity", -1, remedy, {"gravity": gravity}, corrected)
+
+
+def _fit_gravity(rows: SupposedRows, robot: Robot, joints: list[int]) -> Array | None:
+    """Return the gravity (3,) [m/s^2] of a fit to the torques of joints that show it, or None.
+
+    tau_j = sum_k tau_jk g_k + a_j inertial_j + b_j friction_j + c_j, with one g for all joints.
+    """
     torques_by_axis = _compute_axis_torques(rows.q, robot)
     inertial = compute_torques(rows, robot).inertial
     v = rows.v
@@ -238,7 +286,8 @@ def _estimate_gravity(rows: SupposedRows, robot: Robot, joints: list[int]) -> It
         torques_by_axis = np.array(
             [logged_coupling.torque(axis_torques) for axis_torques in torques_by_axis]
         )
-        inertial, v = logged_coupling.torque(inertial), logged_coupling.motion(v)
+        inertial = logged_coupling.torque(inertial)
+        v = logged_coupling.motion(v)
     row_blocks = []
     targets = []
     for place, j in enumerate(joints):
@@ -248,6 +297,7 @@ def _estimate_gravity(rows: SupposedRows, robot: Robot, joints: list[int]) -> It
         residual_std = float(np.std(tau - columns @ np.linalg.lstsq(columns, tau, rcond=None)[0]))
         if residual_std > _MAX_UNEXPLAINED_SHARE * np.std(tau):
             continue
+        # Gravity is common to all joints; the other coefficients are those of this one.
         block = np.zeros((len(tau), 3 + 3 * len(joints)))
         block[:, :3] = columns[:, :3]
         block[:, 3 + 3 * place : 6 + 3 * place] = columns[:, 3:]
@@ -256,32 +306,19 @@ def _estimate_gravity(rows: SupposedRows, robot: Robot, joints: list[int]) -> It
         row_blocks.append(block / noise)
         targets.append(tau / noise)
     if not row_blocks:
-        return
-    gravity_estimate = np.linalg.lstsq(
-        np.concatenate(row_blocks), np.concatenate(targets), rcond=None
-    )[0][:3]
-    declared_gravity = robot.gravity
-    gravity_size = float(np.linalg.norm(declared_gravity)) or _EARTH_GRAVITY
-    if not np.linalg.norm(gravity_estimate) > 0.2 * gravity_size:
-        return
-    direction = gravity_estimate / np.linalg.norm(gravity_estimate)
+        return None
+    table = np.concatenate(row_blocks)
+    return np.asarray(np.linalg.lstsq(table, np.concatenate(targets), rcond=None)[0][:3])
+
+
+def _snap_to_axis(direction: Array) -> Array:
+    """Return the axis close to a direction (3,), or the direction: mountings are rarely oblique."""
+    snapped = direction
     for axis in _AXES.values():
         for sign in (1.0, -1.0):
-            if direction @ np.array(axis) * sign > np.cos(_SNAP_ANGLE):
-                direction = sign * np.array(axis)
-    if direction @ declared_gravity / gravity_size > np.cos(_MIN_TILT):
-        return
-    gravity = tuple(round(float(g), 3) + 0.0 for g in gravity_size * direction)
-    mismatch = (
-        "upside down"
-        if direction @ declared_gravity / gravity_size < -np.cos(_MIN_TILT)
-        else "from another side"
-    )
-    if not np.any(declared_gravity):
-        mismatch = "as none"
-    remedy = f"gravity is declared {mismatch}"
-    corrected = replace(rows, gravity=np.array(gravity))
-    yield Mistake("gravity", -1, remedy, {"gravity": gravity}, corrected)
+            if snapped @ np.array(axis) * sign > np.cos(_SNAP_ANGLE):
+                snapped = sign * np.array(axis)
+    return snapped
 
 
 def _swap_order(n: int, a: int, b: int) -> list[int]:
@@ -303,11 +340,13 @@ _MAX_NAMED_RIVALS = 2  # which suffice to doubt a mistake
 def pool_rows(parts: Sequence[SmoothPart], gravity: Sequence[float]) -> SupposedRows:
     """Take equally many rows from each log."""
     thinned_parts = _thin_parts(parts)
-    signals = {
-        k: np.concatenate([getattr(thinned_part, k) for thinned_part in thinned_parts])
-        for k in ("q", "v", "a", "tau")
-    }
-    return SupposedRows(**signals, gravity=np.array(gravity, dtype=float))
+    return SupposedRows(
+        q=np.concatenate([part.q for part in thinned_parts]),
+        v=np.concatenate([part.v for part in thinned_parts]),
+        a=np.concatenate([part.a for part in thinned_parts]),
+        tau=np.concatenate([part.tau for part in thinned_parts]),
+        gravity=np.array(gravity, dtype=float),
+    )
 
 
 def _thin_parts(parts: Sequence[SmoothPart]) -> list[SmoothPart]:
@@ -326,7 +365,8 @@ def check_causes(parts: Sequence[SmoothPart], robot: Robot) -> list[Hypothesis]:
         [part.log.name for part in thinned_parts], [part.t for part in thinned_parts]
     )
     logged_coupling = robot.description.logged
-    rows = replace(rows, tau=logged_coupling.torque(rows.tau)) if logged_coupling else rows
+    if logged_coupling:
+        rows = replace(rows, tau=logged_coupling.torque(rows.tau))
     log_names = tuple(dict.fromkeys(part.log.name for part in parts))
     hypotheses: list[Hypothesis] = []
     share_before = _compute_unexplained_share(rows, robot, is_moving)
@@ -341,7 +381,9 @@ def check_causes(parts: Sequence[SmoothPart], robot: Robot) -> list[Hypothesis]:
         rows = mistake.corrected
         share_before = share_after
     joint_beyond = _find_joint_beyond_limits(rows.q, robot)
-    return hypotheses if joint_beyond is None else _doubt_robot(hypotheses, joint_beyond)
+    if joint_beyond is None:
+        return hypotheses
+    return _doubt_robot(hypotheses, joint_beyond)
 
 
 def _suppose(
@@ -354,24 +396,23 @@ def _suppose(
 ) -> Hypothesis:
     """Return the hypothesis of a mistake, which races on the joint that it explains best."""
     best_joint = int(np.argmax(share_before / share_after))
-    rival_squares, squares = (
-        _predict_squares(each, robot, left_out, best_joint) for each in (rows, mistake.corrected)
+    race = Race(
+        rival="the file as it is",
+        rival_squares=_predict_squares(rows, robot, left_out, best_joint),
+        squares=_predict_squares(mistake.corrected, robot, left_out, best_joint),
+        min_gain=CURE_GAIN,
     )
+    joint = ""
+    if mistake.joint >= 0:
+        joint = robot.joints[mistake.joint]
     return Hypothesis(
         check=mistake.check,
-        joint=robot.joints[mistake.joint] if mistake.joint >= 0 else "",
+        joint=joint,
         observation=f"model and friction leave {100 * share_before[best_joint]:.0f} % of the "
         f"torque of joint '{robot.joints[best_joint]}' unexplained; with the correction "
         f"{100 * share_after[best_joint]:.0f} %",
         remedy=mistake.remedy,
-        trials=(
-            Race(
-                rival="the file as it is",
-                rival_squares=rival_squares,
-                squares=squares,
-                min_gain=CURE_GAIN,
-            ),
-        ),
+        trials=(race,),
         record="motion of this joint through the whole of its range",
         changes=mistake.changes,
     )
@@ -426,7 +467,9 @@ def _doubt_robot(hypotheses: Sequence[Hypothesis], joint_beyond: str) -> list[Hy
 def _find_joint_beyond_limits(q: Array, robot: Robot) -> str | None:
     """Return the first joint whose positions (N, n) exceed its limits by more than usual."""
     is_beyond = _compute_excess_shares(q, robot) > MAX_EXCESS_SHARE
-    return robot.joints[int(np.argmax(is_beyond))] if np.any(is_beyond) else None
+    if not np.any(is_beyond):
+        return None
+    return robot.joints[int(np.argmax(is_beyond))]
 
 
 def _find_best_mistake(

@@ -1,8 +1,9 @@
 """Torque checks: raw signal, and signs and scales against motion and model."""
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,9 +51,12 @@ TorqueFits = Mapping[int, TorqueFit]  # by index of the joint
 
 def fit_joint_torques(part: SmoothPart, torques: ModelTorques) -> TorqueFits:
     """Regress the torque of every moving joint."""
-    signals = (part.tau, torques.gravity, torques.inertial, part.v)
-    moving_joints = np.flatnonzero(part.is_moving & (np.ptp(part.tau, axis=0) > 0.0))
-    return {int(j): fit_joint_torque(*(signal[:, j] for signal in signals)) for j in moving_joints}
+    fits: dict[int, TorqueFit] = {}
+    for j in np.flatnonzero(part.is_moving & (np.ptp(part.tau, axis=0) > 0.0)):
+        fits[int(j)] = fit_joint_torque(
+            part.tau[:, j], torques.gravity[:, j], torques.inertial[:, j], part.v[:, j]
+        )
+    return fits
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +219,9 @@ def check_torque(
     """
     left_out = LeftOutRows.split([part.log.name], [part.t])
     for j, fit in fits.items():
-        explanations = None if torques is None else Explanations(part, torques, j, left_out)
+        explanations = None
+        if torques is not None:
+            explanations = Explanations(part, torques, j, left_out)
         doubt = _doubt_signal(part, fit, j, robot, explanations, is_stated=is_stated)
         if doubt is not None:
             yield doubt
@@ -249,9 +255,10 @@ def _doubt_signal(
     """Doubt that a torque holds a signal, if nothing explains it."""
     if fit.r2 >= NO_SIGNAL_R2:
         return None
-    explained_share = (
-        Estimate(value=fit.r2, error=0.0) if explanations is None else explanations.explained_share
-    )
+    if explanations is None:
+        explained_share = Estimate(value=fit.r2, error=0.0)
+    else:
+        explained_share = explanations.explained_share
     trial = Statistic(
         name="the explained share of its signal",
         estimate=explained_share,
@@ -261,7 +268,9 @@ def _doubt_signal(
     if trial.outcome == "lost":
         return None
     # Motion one way at one speed shows no friction, however good the torque.
-    tells = moves_both_ways(part.log.q[:, j])
+    contradictions: tuple[str, ...] = ()
+    if not moves_both_ways(part.log.q[:, j]):
+        contradictions = ("it never reverses, so that its friction may be a constant",)
     level_count = len(np.unique(part.tau[:, j]))
     remedy = "it contains almost no signal, or belongs to another joint"
     if is_stated:
@@ -274,9 +283,7 @@ def _doubt_signal(
         remedy=remedy,
         severity="warning",
         trials=(trial,),
-        contradictions=()
-        if tells
-        else ("it never reverses, so that its friction may be a constant",),
+        contradictions=contradictions,
         record=_TELLING_MOTION,
     )
 
@@ -332,7 +339,39 @@ def _doubt_sign(
     """
     if fit.friction.value >= 0.0:
         return
+    is_of_position, alternative = _find_wrong_sign(fit, is_mirrored=is_mirrored)
+    subject = "torque counts"
+    if is_of_position:
+        subject = "position and velocity count"
     description = robot.description
+    unit = unit_of_joint("N.m", is_prismatic=robot.slides[j])
+    yield Hypothesis(
+        check="torque-sign",
+        joint=description.joints[j],
+        observation="its torque drives the motion where friction should brake it "
+        f"({fit.friction.value:.3g} {unit} along the velocity, {abs(fit.friction.t):.0f} "
+        "standard errors)",
+        remedy=f"its {subject} backwards{alternative}",
+        trials=_try_sign(fit, explanations, is_stated=is_stated),
+        record=_TELLING_MOTION,
+        changes=find_sign_change(description, j, position=is_of_position),
+    )
+
+
+def _find_wrong_sign(fit: TorqueFit, *, is_mirrored: bool) -> tuple[bool, str]:
+    """Return whether the position has the wrong sign, not the torque, and what else it may be."""
+    if fit.bears_gravity:
+        # A torque that follows gravity has the right sign.
+        return fit.gravity.t > _SIGNIFICANCE, ""
+    if is_mirrored:
+        return True, ", since only then they keep the model's limits"
+    return False, ", or its position and velocity do"
+
+
+def _try_sign(
+    fit: TorqueFit, explanations: Explanations | None, *, is_stated: bool
+) -> tuple[Race | Statistic, ...]:
+    """Return the trials of a torque that drives the motion."""
     trials: list[Race | Statistic] = [
         Statistic(name="friction along the velocity", estimate=fit.friction, low=0.0),
         _build_share_trial("the share of friction", fit.friction_size, fit.residual),
@@ -346,46 +385,34 @@ def _doubt_sign(
         )
         if is_stated:
             trials.append(explanations.race_torque_signs())
-    follows_gravity = fit.bears_gravity and fit.gravity.t > _SIGNIFICANCE
-    is_of_position = follows_gravity if fit.bears_gravity else is_mirrored
-    subject = "position and velocity count" if is_of_position else "torque counts"
-    changes = find_sign_change(description, j, position=is_of_position)
-    unit = unit_of_joint("N.m", is_prismatic=robot.slides[j])
-    alternative = ", or its position and velocity do"
-    if fit.bears_gravity:
-        alternative = ""
-    elif is_mirrored:
-        alternative = ", since only then they keep the model's limits"
-    yield Hypothesis(
-        check="torque-sign",
-        joint=description.joints[j],
-        observation="its torque drives the motion where friction should brake it "
-        f"({fit.friction.value:.3g} {unit} along the velocity, {abs(fit.friction.t):.0f} "
-        "standard errors)",
-        remedy=f"its {subject} backwards{alternative}",
-        trials=tuple(trials),
-        record=_TELLING_MOTION,
-        changes=changes,
-    )
+    return tuple(trials)
 
 
 def find_sign_change(
     description: RobotDescription, j: int | None, *, position: bool
 ) -> dict[str, object]:
     """Return the change that reverses a torque or position; `j` None means all."""
-    n = len(description.joints)
-
-    def reverse_units(key: str) -> tuple[str | float, ...]:
-        units = description.log.units.expand_per_joint(key, n)
-        return tuple(reverse_unit(unit) if j in (k, None) else unit for k, unit in enumerate(units))
-
     if position:
-        return {f"log.units.{key}": reverse_units(key) for key in ("q", "dq")}
+        return {f"log.units.{key}": _reverse_units(description, key, j) for key in ("q", "dq")}
     gains = description.log.torque_per_ampere
     if gains is None:
-        return {"log.units.tau": reverse_units("tau")}
-    reversed_gains = tuple(-gain if j in (k, None) else gain for k, gain in enumerate(gains))
-    return {"log.torque_per_ampere": reversed_gains}
+        return {"log.units.tau": _reverse_units(description, "tau", j)}
+    new_gains = list(gains)
+    for k, gain in enumerate(gains):
+        if j in (k, None):
+            new_gains[k] = -gain
+    return {"log.torque_per_ampere": tuple(new_gains)}
+
+
+def _reverse_units(
+    description: RobotDescription, quantity: str, j: int | None
+) -> tuple[str | float, ...]:
+    """Return the unit of each joint, reversed for joint `j` or for all if it is None."""
+    units = list(description.log.units.expand_per_joint(quantity, len(description.joints)))
+    for k, unit in enumerate(units):
+        if j in (k, None):
+            units[k] = reverse_unit(unit)
+    return tuple(units)
 
 
 def _doubt_scale(
@@ -393,75 +420,116 @@ def _doubt_scale(
 ) -> Iterator[Hypothesis]:
     """Doubt the unit or the torque constant of a torque that the model explains."""
     # Races decide whether the model explains enough of it.
-    if fit.r2 < (_MIN_R2 if explanations is None else NO_SIGNAL_R2):
+    min_r2 = _MIN_R2 if explanations is None else NO_SIGNAL_R2
+    if fit.r2 < min_r2:
         return
-    is_weightless = (
-        fit.bears_gravity
-        and fit.gravity.value + _SIGNIFICANCE * fit.gravity.error < 1.0 / _MAX_SCALE
-    )
-    is_huge = (
-        fit.gravity_size > 0.0
-        and fit.gravity.value - _SIGNIFICANCE * fit.gravity.error > _HUGE_SCALE
-    )
-    by_gravity = is_weightless or (
-        abs(fit.gravity.t) > _SIGNIFICANCE and (fit.bears_gravity or is_huge)
-    )
-    estimate = (
-        Estimate(value=abs(fit.gravity.value), error=fit.gravity.error)
-        if by_gravity
-        else fit.inertia
-    )
-    # A rotor may exceed the links many times, but never reduces the inertia.
-    high = _MAX_SCALE if by_gravity else np.inf
-    if 1.0 / _MAX_SCALE <= estimate.value <= high or not np.isfinite(estimate.error):
+    scale = _estimate_scale(fit, robot, explanations)
+    if scale is None:
         return
-    if explanations is not None and not by_gravity:
-        reliability = explanations.estimate_reliability(robot)
-        if reliability < _MIN_RELIABILITY:
-            return
-        # Noise of the acceleration reduces the estimate by its share.
-        estimate = Estimate(value=estimate.value / reliability, error=estimate.error / reliability)
-        if estimate.value >= 1.0 / _MAX_SCALE:
-            return
-    if explanations is not None:
-        spread = explanations.estimate_spread(0 if by_gravity else 1)
-        estimate = Estimate(value=estimate.value, error=max(estimate.error, spread / _SIGNIFICANCE))
-    torque_kind = "gravity" if by_gravity else "inertial"
+    factor = scale.estimate.value
     statistic = Statistic(
-        name=f"its {torque_kind} torque over the model's",
-        estimate=estimate,
+        name=f"its {scale.torque_kind} torque over the model's",
+        estimate=scale.estimate,
         low=1.0 / _MAX_SCALE,
-        high=high,
+        high=scale.high,
     )
-    races = () if explanations is None else _race_scale(explanations, fit, by_gravity=by_gravity)
-    description = robot.description
-    scale = estimate.value
-    scales = {
-        number: abs(other_fit.gravity.value)
-        for number, other_fit in fits.items()
-        if other_fit.bears_gravity
-    }
-    remedy, changes = _explain_scale(description, j, {**scales, j: scale})
-    if (
-        scale <= _MAX_WEIGHTLESS_SHARE
-        and is_weightless
-        and abs(fit.inertia.value) >= 1.0 / _MAX_SCALE
-    ):
+    races: tuple[Race, ...] = ()
+    if explanations is not None:
+        races = _race_scale(explanations, fit, by_gravity=scale.by_gravity)
+    factors = {k: abs(other.gravity.value) for k, other in fits.items() if other.bears_gravity}
+    if _lacks_gravity(fit, factor):
         remedy = (
             "gravity was removed from it, a spring or counterweight carries the arm, or the file "
             "declares another gravity"
         )
-        changes = {}
-    factor_text = f"{scale:.2g} (+- {_SIGNIFICANCE * estimate.error:.1g}) times"
+        changes: dict[str, object] = {}
+    else:
+        remedy, changes = _explain_scale(robot.description, j, {**factors, j: factor})
+    half_interval = _SIGNIFICANCE * scale.estimate.error
+    factor_text = f"{factor:.2g} (+- {half_interval:.1g}) times"
     yield Hypothesis(
         check="torque-scale",
-        joint=description.joints[j],
-        observation=f"its torque is {factor_text} the {torque_kind} torque of the model",
+        joint=robot.description.joints[j],
+        observation=f"its torque is {factor_text} the {scale.torque_kind} torque of the model",
         remedy=remedy,
         trials=(statistic, *races),
         record="faster motion, and rests in several positions",
         changes=changes,
     )
+
+
+class _Scale(NamedTuple):
+    """A factor of the model's torque that is implausible, and what it is measured by.
+
+    Attributes
+    ----------
+    by_gravity : whether by gravity, otherwise by inertia.
+    estimate : the factor.
+    high : the largest plausible factor; the smallest one is 1 / `_MAX_SCALE`.
+    """
+
+    by_gravity: bool
+    estimate: Estimate
+    high: float
+
+    @property
+    def torque_kind(self) -> str:
+        """The torque that measures the factor, in words."""
+        if self.by_gravity:
+            return "gravity"
+        return "inertial"
+
+
+def _estimate_scale(
+    fit: TorqueFit, robot: Robot, explanations: Explanations | None
+) -> _Scale | None:
+    """Return the factor of the model's torque, unless it is plausible or nothing tells it."""
+    by_gravity = _tells_scale_by_gravity(fit)
+    if by_gravity:
+        estimate = Estimate(value=abs(fit.gravity.value), error=fit.gravity.error)
+        high = _MAX_SCALE
+        kind = 0
+    else:
+        estimate = fit.inertia
+        # A rotor may exceed the links many times, but never reduces the inertia.
+        high = np.inf
+        kind = 1
+    if 1.0 / _MAX_SCALE <= estimate.value <= high or not np.isfinite(estimate.error):
+        return None
+    if explanations is None:
+        return _Scale(by_gravity, estimate, high)
+    if not by_gravity:
+        reliability = explanations.estimate_reliability(robot)
+        if reliability < _MIN_RELIABILITY:
+            return None
+        # Noise of the acceleration reduces the estimate by its share.
+        estimate = Estimate(value=estimate.value / reliability, error=estimate.error / reliability)
+        if estimate.value >= 1.0 / _MAX_SCALE:
+            return None
+    spread = explanations.estimate_spread(kind)
+    error = max(estimate.error, spread / _SIGNIFICANCE)
+    return _Scale(by_gravity, Estimate(value=estimate.value, error=error), high)
+
+
+def _tells_scale_by_gravity(fit: TorqueFit) -> bool:
+    """Return whether gravity measures the scale of a torque, or that there is hardly any of it."""
+    if _is_weightless(fit):
+        return True
+    lowest_factor = fit.gravity.value - _SIGNIFICANCE * fit.gravity.error
+    is_huge = fit.gravity_size > 0.0 and lowest_factor > _HUGE_SCALE
+    return abs(fit.gravity.t) > _SIGNIFICANCE and (fit.bears_gravity or is_huge)
+
+
+def _is_weightless(fit: TorqueFit) -> bool:
+    """Return whether a torque surely lacks most of the gravity that the model has."""
+    highest_factor = fit.gravity.value + _SIGNIFICANCE * fit.gravity.error
+    return fit.bears_gravity and highest_factor < 1.0 / _MAX_SCALE
+
+
+def _lacks_gravity(fit: TorqueFit, factor: float) -> bool:
+    """Return whether a torque has the model's inertia, and only a small factor of its gravity."""
+    has_inertia = abs(fit.inertia.value) >= 1.0 / _MAX_SCALE
+    return factor <= _MAX_WEIGHTLESS_SHARE and _is_weightless(fit) and has_inertia
 
 
 def _race_scale(
@@ -512,30 +580,45 @@ def _explain_scale(
     """
     scale = scales[j]
     if description.log.torque_per_ampere is not None:
-        if scale <= 0:
-            return "its torque_per_ampere is far too small, or the column holds another signal", {}
-        deviation_factor = max(scale, 1.0 / scale)
-        rounded_factor = round(deviation_factor, 1 - len(str(int(deviation_factor))))
-        direction = "small" if scale < 1 else "large"
-        return f"its torque_per_ampere is about {rounded_factor:g} times too {direction}", {}
+        return _explain_constant(scale), {}
     if 1 / _MAX_SCALE < 1e-3 * scale < _MAX_SCALE:
         return "torque is in mN.m", {"log.units.tau": "mN.m"}
     gear_ratios = description.gear_ratio
-    # The gears must explain the torques of all joints, not of one by chance.
-    if gear_ratios and all(
-        1 / _MAX_REAL_SCALE < other_scale * gear_ratios[k] < _MAX_REAL_SCALE
-        for k, other_scale in scales.items()
-    ):
+    if gear_ratios and _is_before_gear(scales, gear_ratios):
         return "it is the motor torque before the gear", {"log.units.tau": gear_ratios}
-    is_everywhere = len(scales) > 1 and all(
-        not 1 / _MAX_SCALE <= other_scale <= _MAX_SCALE for other_scale in scales.values()
-    )
-    causes = [] if is_everywhere else ["the unit of torque or position is wrong"]
+    causes = []
+    is_implausible = [not 1 / _MAX_SCALE <= each <= _MAX_SCALE for each in scales.values()]
+    if len(scales) < 2 or not all(is_implausible):
+        causes.append("the unit of torque or position is wrong")
     if scale < 1.0 and not gear_ratios:
         # As a current, it is smaller by a constant of the joint, and a log shows no more of it.
         causes.append("the column holds motor torques before a gear, to be stated as gear_ratio")
     causes.append("it holds a current, to be named under [log.columns] with torque_per_ampere")
     return ", or ".join(causes), {}
+
+
+def _explain_constant(scale: float) -> str:
+    """Return what a torque over the model's says of the torque constant."""
+    if scale <= 0:
+        return "its torque_per_ampere is far too small, or the column holds another signal"
+    if scale < 1:
+        direction = "small"
+        deviation_factor = 1.0 / scale
+    else:
+        direction = "large"
+        deviation_factor = scale
+    # One significant digit, for the log shows no more of it.
+    digit_count = len(str(int(deviation_factor)))
+    rounded_factor = round(deviation_factor, 1 - digit_count)
+    return f"its torque_per_ampere is about {rounded_factor:g} times too {direction}"
+
+
+def _is_before_gear(scales: Mapping[int, float], gear_ratios: Sequence[float]) -> bool:
+    """Return whether gears explain the torques of all joints, not of one by chance."""
+    return all(
+        1 / _MAX_REAL_SCALE < scale * gear_ratios[j] < _MAX_REAL_SCALE
+        for j, scale in scales.items()
+    )
 
 
 def _doubt_friction(fits: TorqueFits, robot: Robot) -> Iterator[Hypothesis]:
@@ -579,7 +662,9 @@ def _doubt_peaks(part: SmoothPart, fits: TorqueFits, robot: Robot) -> Iterator[H
                 remedy="its unit or its torque_per_ampere is wrong",
             )
         other_shares = [other_share for k, other_share in shares.items() if k != j]
-        usual_share = np.median(other_shares) if len(other_shares) > 1 else 0.0
+        usual_share = 0.0
+        if len(other_shares) > 1:
+            usual_share = float(np.median(other_shares))
         is_small = share * _MIN_RATIO_TO_OTHERS < usual_share and fits[j].r2 > _MIN_R2
         if is_small and not _has_scale_of_model(fits[j]):
             yield Hypothesis(
@@ -630,7 +715,9 @@ def check_raw_signals(log: Log, description: RobotDescription) -> Iterator[Hypot
             if row is not None:
                 yield _doubt_sensor(log, joint, "position", row, "its velocity is not zero")
         tau = log.tau[:, j]
-        row = _find_constant_run(log, tau, is_moving[:, j]) if is_fine[j] else None
+        row = None
+        if is_fine[j]:
+            row = _find_constant_run(log, tau, is_moving[:, j])
         if row is not None and abs(tau[row]) < np.max(np.abs(tau)):
             yield _doubt_sensor(log, joint, "torque", row, "it moves")
         lowest, highest = np.quantile(tau, [0.01, 0.99])
@@ -705,14 +792,14 @@ def _find_constant_run(log: Log, signal: Array, is_moving: Mask) -> int | None:
     k = int(np.argmax(lengths))
     first = int(starts[k])
     last = int(starts[k] + lengths[k])
-    usual_length = float(np.quantile(np.delete(lengths, k), 0.95)) if len(lengths) > 1 else 1.0
+    usual_length = 1.0
+    if len(lengths) > 1:
+        usual_length = float(np.quantile(np.delete(lengths, k), 0.95))
     is_long = last - first >= max(_MIN_STUCK_ROWS, _MIN_STUCK_TO_USUAL * usual_length)
     is_lasting = log.t[last] - log.t[first] > _MIN_STUCK_TIME
-    return (
-        first
-        if is_long and is_lasting and np.mean(is_moving[first:last]) > _MIN_MOVING_SHARE
-        else None
-    )
+    if is_long and is_lasting and np.mean(is_moving[first:last]) > _MIN_MOVING_SHARE:
+        return first
+    return None
 
 
 def _doubt_sensor(log: Log, joint: str, quantity: str, row: int, contradiction: str) -> Hypothesis:
