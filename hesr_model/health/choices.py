@@ -78,22 +78,20 @@ def choose_motion(
     derived = {"log.columns.dq": ""}
     integrated = {"log.columns.q": ""}
     trials = try_descriptions(description, [derived, integrated], read_logs, has_model=has_model)
-    names = {"q": "position", "dq": "velocity"}
+    # Without its velocity, or its position, the torque follows the other one.
+    right_signals = {"log.columns.dq": "position", "log.columns.q": "velocity"}
     for trial, rival in permutations(trials, 2):
         if trial.race(rival) == "won":
             ((key, value),) = trial.changes.items()
-            wrong = key.rpartition(".")[2]
-            right = "q" if wrong == "dq" else "dq"
             reasons[key] = (
-                f"likely: position and velocity contradict each other, and the torque follows the "
-                f"{names[right]}"
+                "likely: position and velocity contradict each other, and the torque follows the "
+                f"{right_signals[key]}"
             )
             return {key: value}, {}
     reason = "position and velocity contradict each other, and the torque follows neither more"
     undecided = {
         key: Undecided(value=value, reason=reason)
-        for changes in (derived, integrated)
-        for key, value in changes.items()
+        for key, value in {**derived, **integrated}.items()
     }
     return {}, undecided
 
@@ -126,17 +124,13 @@ def _estimate_rate(table: LogTable | None, description: RobotDescription) -> flo
     columns = description.log.columns
     units = description.log.units
     joints = description.joints
-    names = {
-        key: column_names(getattr(columns, key), joints) if getattr(columns, key) else []
-        for key in ("q", "dq")
-    }
-    if table is None or not all(names.values()):
+    if table is None or not columns.q or not columns.dq:
         return _EXAMPLE_RATE
+    q_names = column_names(columns.q, joints)
+    dq_names = column_names(columns.dq, joints)
     try:
-        q, dq = (
-            table.numbers(names[key], missing=True) * units.factors(key, len(joints))
-            for key in ("q", "dq")
-        )
+        q = table.numbers(q_names, missing=True) * units.factors("q", len(joints))
+        dq = table.numbers(dq_names, missing=True) * units.factors("dq", len(joints))
     except LogError:
         return _EXAMPLE_RATE
     match = match_derivative(np.arange(table.rows, dtype=float), q, dq)

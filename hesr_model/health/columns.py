@@ -40,6 +40,16 @@ def propose_columns(table: LogTable, description: RobotDescription) -> ColumnPro
     open_quantities = _find_open(description.log, settled)
     if not open_quantities:
         return _add_constants(ColumnProposal(description=description), settled)
+    return _guess_open(table, description, settled, open_quantities)
+
+
+def _guess_open(
+    table: LogTable,
+    description: RobotDescription,
+    settled: Mapping[str, Sequence[str]],
+    open_quantities: list[str],
+) -> ColumnProposal:
+    """Guess columns of quantities, beside those by quantity that are settled."""
     stated = {quantity: names for quantity, names in settled.items() if quantity != "t"}
     refusal = None
     try:
@@ -52,9 +62,10 @@ def propose_columns(table: LogTable, description: RobotDescription) -> ColumnPro
         refusal = error
         guess = guess_columns(table, description.joints, timed=False, stated=stated)
     if "tau" in open_quantities and "tau" in guess.columns:
-        open_quantities.remove("current")  # which needs a constant that nobody stated
-    wanted = [*open_quantities, *(name for name in _OPTIONAL if name not in settled)]
-    guessed = {name: guess.columns[name] for name in wanted if name in guess.columns}
+        # A current needs a constant that nobody stated.
+        open_quantities = [name for name in open_quantities if name != "current"]
+    candidates = [*open_quantities, *(name for name in _OPTIONAL if name not in settled)]
+    guessed = {name: guess.columns[name] for name in candidates if name in guess.columns}
     changes: dict[str, Any] = {f"log.columns.{name}": names for name, names in guessed.items()}
     reasons = {
         f"log.columns.{name}": f"likely: {guess.reasons.get(name, 'it rises')}" for name in guessed
@@ -66,12 +77,16 @@ def propose_columns(table: LogTable, description: RobotDescription) -> ColumnPro
         if name in guessed and getattr(description.log.units, name) == getattr(LogUnits(), name):
             changes[f"log.units.{name}"] = unit
             reasons[f"log.units.{name}"] = f"likely: {guess.reasons[name]}"
-    effort = next((name for name in _EFFORTS if name in guessed), "")
+    efforts: Sequence[ColumnCandidate] = ()
+    for name in _EFFORTS:
+        if name in guessed:
+            efforts = guess.candidates[name]
+            break
     return _add_constants(
         ColumnProposal(
             description=apply_changes(description, changes),
             reasons=reasons,
-            efforts=guess.candidates[effort] if effort else (),
+            efforts=efforts,
             refusal=refusal,
         ),
         {**settled, **guessed},
@@ -96,8 +111,10 @@ def _list_names(
 ) -> tuple[str, ...]:
     if not pattern:
         return ()
+    if quantity == "t" and isinstance(pattern, str):
+        return (pattern,)
     if quantity == "t":
-        return (pattern,) if isinstance(pattern, str) else pattern
+        return tuple(pattern)
     return tuple(column_names(pattern, joints))
 
 

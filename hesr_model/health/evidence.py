@@ -55,8 +55,9 @@ class SmoothPart:
 
     def find_resting_speed(self, j: int) -> float:
         """Return the speed up to which a joint rests [rad/s, m/s]."""
-        speeds = self.resting_speeds
-        return speeds[j] if isinstance(speeds, tuple) else speeds
+        if isinstance(self.resting_speeds, tuple):
+            return self.resting_speeds[j]
+        return self.resting_speeds
 
     @property
     def period(self) -> float:
@@ -67,7 +68,9 @@ class SmoothPart:
     def is_measured(self) -> Mask:
         """Rows (N,) that smoothing did not have to guess at an end."""
         is_inner = (self.t >= self.t[0] + self.settling) & (self.t <= self.t[-1] - self.settling)
-        return is_inner if np.count_nonzero(is_inner) > _MIN_INNER_ROWS else np.ones_like(is_inner)
+        if np.count_nonzero(is_inner) <= _MIN_INNER_ROWS:
+            return np.ones_like(is_inner)
+        return is_inner
 
     def estimate_speed_noise(self) -> tuple[Array, Array]:
         """Return what white noise adds to `v` and to `dq` (n,), as standard deviations."""
@@ -152,7 +155,9 @@ def smooth_parts(log: Log, cutoff: float) -> list[SmoothPart]:
             if len(log.gaps):
                 continue
             raise
-        dq = None if log_part.dq is None else smooth(log_part, cutoff).dq
+        dq = None
+        if log_part.dq is not None:
+            dq = smooth(log_part, cutoff).dq
         part = SmoothPart(
             log=log_part,
             t=log_part.t,

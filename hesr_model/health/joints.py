@@ -33,11 +33,7 @@ def select_joints(
 ) -> RobotDescription:
     """Return a robot with these joints, by default its own; a table may have columns of others."""
     description = to_description(robot)
-    if (
-        joints
-        and is_model_path(robot)
-        and not (table and _count_positions(table) == len(description.joints))
-    ):
+    if joints and is_model_path(robot) and not _has_all_joints(table, description):
         return describe_model(description.model, joints)
     for joint in joints:
         if joint not in description.joints:
@@ -46,14 +42,17 @@ def select_joints(
                 f"{', '.join(description.joints)}."
             )
     removed_joints = set(description.joints) - set(joints or description.joints)
-    rest_positions = (
-        find_rest_positions(read_joints(description.model), joints) if removed_joints else {}
-    )
-    return (
-        remove_joints(description, {joint: rest_positions[joint] for joint in removed_joints})
-        if removed_joints
-        else description
-    )
+    if not removed_joints:
+        return description
+    rest_positions = find_rest_positions(read_joints(description.model), joints)
+    return remove_joints(description, {joint: rest_positions[joint] for joint in removed_joints})
+
+
+def _has_all_joints(table: LogTable | None, description: RobotDescription) -> bool:
+    """Return whether a table has a position for each joint of a robot."""
+    if not table:
+        return False
+    return _count_positions(table) == len(description.joints)
 
 
 def select_joints_of_table(
@@ -71,9 +70,8 @@ def select_joints_of_table(
         return describe_model(description.model, named_joints), "named in the columns"
     arm_joints = [joint.name for joint in find_arm(description.model)]
     if len(arm_joints) == _count_positions(table) < len(description.joints):
-        return describe_model(
-            description.model, arm_joints
-        ), f"the log has {len(arm_joints)} positions"
+        reason = f"the log has {len(arm_joints)} positions"
+        return describe_model(description.model, arm_joints), reason
     return description, ""
 
 
@@ -90,9 +88,10 @@ def choose_joints(robot: RobotLike, joints: Sequence[str]) -> tuple[RobotDescrip
         return select_joints(robot, joints), ""
     model_path = to_description(robot).model
     description = describe_model(model_path, [joint.name for joint in find_arm(model_path)])
-    return description, "fingers and joints outside the longest chain are locked" * bool(
-        description.locked
-    )
+    reason = ""
+    if description.locked:
+        reason = "fingers and joints outside the longest chain are locked"
+    return description, reason
 
 
 def find_resting_joints(
@@ -107,7 +106,9 @@ def find_resting_joints(
     resting_positions = {
         description.joints[j]: float(f"{positions[j]:.4g}") for j in np.flatnonzero(is_resting)
     }
-    return resting_positions if len(resting_positions) < len(description.joints) else {}
+    if len(resting_positions) == len(description.joints):
+        return {}  # a log at rest says nothing
+    return resting_positions
 
 
 def apply_changes(description: RobotDescription, changes: Mapping[str, Any]) -> RobotDescription:
@@ -134,35 +135,41 @@ def remove_joints(
             f"robot '{description.name}' has a [transmission], whose motors turn joints that "
             "would be locked; remove these joints from its 'joints' and from the matrix."
         )
-    remaining_joints = [j for j, joint in enumerate(description.joints) if joint not in locked]
     entries_by_key = {**description.lists, "joints": description.joints}
-    known_parameters = description.known and tuple(
-        name for name in description.known if name.rpartition(".")[0] not in locked
-    )
-    springs = {
-        key: tuple(joint for joint in getattr(description, key) if joint not in locked)
-        for key in ("springs", "balancers")
-    }
     for key in ("q", "dq", "q_link", "tau", "current", "current_size", *optional):
         pattern = getattr(description.log.columns, key)
         if pattern and "{name}" not in pattern:
             entries_by_key[f"log.columns.{key}"] = tuple(column_names(pattern, description.joints))
-    changes = {
-        key: tuple(entries[j] for j in remaining_joints)
-        for key, entries in entries_by_key.items()
-        if isinstance(entries, tuple)
-    }
-    changes |= springs
-    inertia_added = {
-        log: {joint: inertia for joint, inertia in inertias.items() if joint not in locked}
+    changes: dict[str, Any] = {}
+    for key, entries in entries_by_key.items():
+        if isinstance(entries, tuple):
+            changes[key] = _select_entries(entries, description.joints, locked)
+    for key in ("springs", "balancers"):
+        changes[key] = _remove_names(getattr(description, key), locked)
+    changes["known"] = description.known and _remove_parameters(description.known, locked)
+    changes["locked"] = {**description.locked, **locked}
+    changes["scale.inertia_added"] = {
+        log: _remove_keys(inertias, locked)
         for log, inertias in description.scale.inertia_added.items()
     }
-    return apply_changes(
-        description,
-        {
-            **changes,
-            "known": known_parameters,
-            "locked": {**description.locked, **locked},
-            "scale.inertia_added": inertia_added,
-        },
-    )
+    return apply_changes(description, changes)
+
+
+def _select_entries(
+    entries: Sequence[Any], joints: Sequence[str], locked: Collection[str]
+) -> tuple[Any, ...]:
+    """Return the entries by joint of those that are not locked."""
+    return tuple(entries[j] for j, joint in enumerate(joints) if joint not in locked)
+
+
+def _remove_names(joints: Sequence[str], locked: Collection[str]) -> tuple[str, ...]:
+    return tuple(joint for joint in joints if joint not in locked)
+
+
+def _remove_parameters(parameters: Sequence[str], locked: Collection[str]) -> tuple[str, ...]:
+    """Return names as ``joint.parameter`` without those of locked joints."""
+    return tuple(name for name in parameters if name.rpartition(".")[0] not in locked)
+
+
+def _remove_keys(values: Mapping[str, float], locked: Collection[str]) -> dict[str, float]:
+    return {joint: value for joint, value in values.items() if joint not in locked}

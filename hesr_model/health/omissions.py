@@ -76,7 +76,9 @@ def check_signs(
 def _name_current_size(description: RobotDescription) -> dict[str, Any]:
     """Return changes by which the columns of the torque are a current without a sign."""
     log_format = description.log
-    quantity = "tau" if log_format.torque_per_ampere is None else "current"
+    quantity = "current"
+    if log_format.torque_per_ampere is None:
+        quantity = "tau"
     names = column_names(getattr(log_format.columns, quantity), description.joints)
     changes: dict[str, Any] = {
         "log.columns.current_size": tuple(names),
@@ -93,8 +95,11 @@ def _build_columns(
 ) -> Array:
     """Return columns (N, K) that explain the torque of a joint, of its model if there is one."""
     v = part.v[:, j]
-    inertial = part.a[:, j] if torques is None else torques.inertial[:, j]
-    gravity = np.zeros(len(v)) if torques is None else torques.gravity[:, j]
+    inertial = part.a[:, j]
+    gravity = np.zeros(len(v))
+    if torques is not None:
+        inertial = torques.inertial[:, j]
+        gravity = torques.gravity[:, j]
     peak = float(np.max(np.abs(v))) or 1.0
     # Coulomb and viscous friction, each with a coefficient: sizes tell them apart.
     friction = [np.tanh(v / (knee_share * peak)), v / peak]
@@ -130,7 +135,9 @@ def check_integral(
         return
     for j in np.flatnonzero(part.is_moving):
         observation = "its position is not logged; it is the integral of its velocity from 0"
-        gravity = 0.0 if torques is None else float(np.std(torques.gravity[:, j]))
+        gravity = 0.0
+        if torques is not None:
+            gravity = float(np.std(torques.gravity[:, j]))
         needs_start = gravity > _MIN_GRAVITY_SHARE * float(np.std(part.tau[:, j]))
         if needs_start:
             yield Hypothesis(

@@ -18,6 +18,7 @@ from hesr_model.logs.rest import MOVING_SHARE, find_travelling
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.arrays import Array, Integers
+from hesr_model.support.text import count_noun
 from hesr_model.units import COMMON_UNITS, unit_of_joint
 
 _PLAUSIBLE_PERIODS = 5e-5, 0.9  # plausible sample periods [s]; 1 s may be 1 ms
@@ -90,29 +91,29 @@ def _doubt_unit_of_time(period: float, description: RobotDescription) -> Hypothe
         key=lambda unit: abs(np.log(period / declared_factor * COMMON_UNITS["t"][unit] * 200.0))
     )
     remedy = "the unit of time is wrong; see [log.units] t"
+    changes: dict[str, object] = {}
     if plausible_units:
         remedy = f"time is in {plausible_units[0]}"
+        changes = {"log.units.t": plausible_units[0]}
     return Hypothesis(
         check="time-unit",
         joint="",
         observation=f"its rows are {period:.3g} s apart",
         remedy=remedy,
-        changes={"log.units.t": plausible_units[0]} if plausible_units else {},
+        changes=changes,
     )
 
 
 def report_gaps(count: int, longest: float, parts: int) -> Hypothesis:
     """Return the observation of gaps up to `longest` [s] between usable parts."""
-    remedy = "rows are missing; " + (
-        f"its {parts} parts are filtered and fitted separately"
-        if parts > 1
-        else "only one of its parts is long enough to use"
-    )
+    consequence = "only one of its parts is long enough to use"
+    if parts > 1:
+        consequence = f"its {parts} parts are filtered and fitted separately"
     return Hypothesis(
         check="gaps",
         joint="",
-        observation=f"{count} gap{'s' * (count > 1)}, the longest of {longest:.3g} s",
-        remedy=remedy,
+        observation=f"{count_noun(count, 'gap')}, the longest of {longest:.3g} s",
+        remedy=f"rows are missing; {consequence}",
         severity="warning",
     )
 
@@ -128,7 +129,9 @@ def check_jumps(log: Log, description: RobotDescription) -> Iterator[Hypothesis]
     for j, joint in enumerate(description.joints):
         steps = np.where(is_near, np.diff(log.q[:, j]), 0.0)
         turn_rows = np.flatnonzero(np.abs(np.abs(steps) - _TURN) < 0.1 * _TURN)
-        usual_step = np.median(np.abs(steps[steps != 0.0])) if np.any(steps) else 0.0
+        usual_step = 0.0
+        if np.any(steps):
+            usual_step = float(np.median(np.abs(steps[steps != 0.0])))
         if len(turn_rows) and usual_step < 0.05 * _TURN:
             yield Hypothesis(
                 check="wrap",
@@ -204,7 +207,9 @@ def _doubt_resolution(log: Log, j: int, joint: str, step: float, cutoff: float) 
     peak = max(float(np.max(np.abs(speeds))), 1e-300)
     # Slow motion leaves rows without a change instead of noise.
     moving_steps = np.diff(log.q[: len(speeds) + 1, j])[np.abs(speeds) > MOVING_SHARE * peak]
-    repeated_share = float(np.mean(moving_steps == 0.0)) if len(moving_steps) else 0.0
+    repeated_share = 0.0
+    if len(moving_steps):
+        repeated_share = float(np.mean(moving_steps == 0.0))
     noise_or_repetition = max(measured_noise / step, repeated_share)
     trials = [
         Statistic(
@@ -254,7 +259,7 @@ def _measure_ripple(log: Log, j: int, cutoff: float) -> float:
             v[k * distance : len(v) - (3 - k) * distance] for k in range(4)
         )
         ripples.append(np.abs(last - 3.0 * third + 3.0 * second - first))
-    ripple = np.concatenate(ripples) if ripples else np.zeros(0)
+    ripple = np.concatenate([np.zeros(0), *ripples])
     if not len(ripple):
         return np.inf
     usual_ripple = float(np.quantile(ripple, _RIPPLE_QUANTILE))
@@ -270,31 +275,27 @@ def check_limits(part: SmoothPart, robot: Robot) -> Iterator[Hypothesis]:
     excess = np.maximum(lower - lowest, highest - upper)
     width = upper - lower
     is_rotary = ~np.array(robot.slides)
-    radians_per_degree = np.pi / 180.0
-    # In degrees, all joints would lie within their limits.
-    excess_in_degrees = np.maximum(
-        lower - lowest * radians_per_degree, highest * radians_per_degree - upper
-    )
-    looks_like_degrees = bool(np.any(is_rotary & (excess > 3.0 * width))) and bool(
-        np.all((excess_in_degrees < 2.0 * MAX_EXCESS_SHARE * width)[is_rotary])
-    )
+    in_degrees = _looks_like_degrees(lowest, highest, robot)
     columns = column_names(description.log.columns.q, description.joints)
     for j, joint in enumerate(description.joints):
         if not excess[j] > MAX_EXCESS_SHARE * width[j]:
             continue
         is_impossible = bool(excess[j] > width[j])
-        is_motor_column = is_impossible and description.logged is None and is_of_motor(columns[j])
-        suggests_degrees = looks_like_degrees and is_rotary[j] and not is_motor_column
-        exceeds_upper = highest[j] - upper[j] > lower[j] - lowest[j]
-        extreme = highest[j] if exceeds_upper else lowest[j]
-        limit = upper[j] if exceeds_upper else lower[j]
+        severity: Severity = "warning"
+        if is_impossible:
+            severity = "error"
+        extreme = lowest[j]
+        limit = lower[j]
+        if highest[j] - upper[j] > lower[j] - lowest[j]:
+            extreme = highest[j]
+            limit = upper[j]
         changes: dict[str, object] = {}
-        if is_motor_column:
+        if is_impossible and description.logged is None and is_of_motor(columns[j]):
             remedy = (
                 f"columns such as '{columns[0]}' are named like motors; give the turns of each "
                 "motor per turn of each joint as 'matrix' in [transmission], with logs = 'motor'"
             )
-        elif suggests_degrees:
+        elif in_degrees and is_rotary[j]:
             remedy = "q is in degrees"
             changes = {"log.units.q": _correct_degrees(description, is_rotary)}
         elif is_impossible:
@@ -304,7 +305,6 @@ def check_limits(part: SmoothPart, robot: Robot) -> Iterator[Hypothesis]:
                 "the log's zero differs from the model's, the model's limits are narrow, or the "
                 "model is of another robot"
             )
-        severity: Severity = "error" if is_impossible else "warning"
         yield Hypothesis(
             check="limits",
             joint=joint,
@@ -315,6 +315,27 @@ def check_limits(part: SmoothPart, robot: Robot) -> Iterator[Hypothesis]:
         )
 
 
+def _looks_like_degrees(lowest: Array, highest: Array, robot: Robot) -> bool:
+    """Return whether rotary joints leave their limits by far, and all keep them in degrees.
+
+    Parameters
+    ----------
+    lowest, highest : extreme positions (n,) as logged.
+    robot : with limits in rad and m.
+    """
+    lower, upper, _ = robot.limits
+    width = upper - lower
+    is_rotary = ~np.array(robot.slides)
+    excess = np.maximum(lower - lowest, highest - upper)
+    radians_per_degree = np.pi / 180.0
+    excess_in_degrees = np.maximum(
+        lower - lowest * radians_per_degree, highest * radians_per_degree - upper
+    )
+    is_far_beyond = is_rotary & (excess > 3.0 * width)
+    is_within = excess_in_degrees < 2.0 * MAX_EXCESS_SHARE * width
+    return bool(np.any(is_far_beyond) and np.all(is_within[is_rotary]))
+
+
 def is_mirrored(q: Array, robot: Robot, j: int) -> bool:
     """Return whether positions (N,) [rad, m] keep the limits of a joint only with the other sign.
 
@@ -323,8 +344,11 @@ def is_mirrored(q: Array, robot: Robot, j: int) -> bool:
     description = robot.description
     if description.logged is not None:
         return False
-    zero = 0.0 if description.log.zero is None else float(description.log.zero[j])
-    lower, upper = (float(limits[j]) for limits in robot.limits[:2])
+    zero = 0.0
+    if description.log.zero is not None:
+        zero = float(description.log.zero[j])
+    lower = float(robot.limits[0][j])
+    upper = float(robot.limits[1][j])
     allowed_excess = MAX_EXCESS_SHARE * (upper - lower)
     if not np.isfinite(allowed_excess):
         return False
@@ -337,8 +361,11 @@ def is_mirrored(q: Array, robot: Robot, j: int) -> bool:
 
 
 def _correct_degrees(description: RobotDescription, is_rotary: Array) -> str | tuple[object, ...]:
+    """Return the units of positions with degrees of rotary joints: one name if all have it."""
     corrected_units = description.log.units.replace_units("q", is_rotary.tolist(), "deg")
-    return "deg" if len(set(corrected_units)) == 1 else corrected_units
+    if len(set(corrected_units)) == 1:
+        return "deg"
+    return corrected_units
 
 
 def check_sliding(part: SmoothPart, robot: Robot) -> Iterator[Hypothesis]:
@@ -359,10 +386,13 @@ def check_sliding(part: SmoothPart, robot: Robot) -> Iterator[Hypothesis]:
     )
     for j in np.flatnonzero(np.array(robot.slides) & is_beyond):
         is_only_unit = all(robot.slides) and units.expand_per_joint("q", robot.n)[j] in ("m", "rad")
-        changes = {"log.units.q": "mm"} if is_only_unit else {}
-        if changes and part.dq is not None:
-            changes["log.units.dq"] = "mm/s"
-        remedy = "q is in mm" if is_only_unit else "see the units of q"
+        remedy = "see the units of q"
+        changes: dict[str, str] = {}
+        if is_only_unit:
+            remedy = "q is in mm"
+            changes["log.units.q"] = "mm"
+            if part.dq is not None:
+                changes["log.units.dq"] = "mm/s"
         yield Hypothesis(
             check="sliding-unit",
             joint=robot.joints[j],
@@ -414,11 +444,9 @@ def _compute_share_at_limit(tau: Array) -> float:
     is_at_limit = np.abs(tau) >= np.max(np.abs(tau))
     run_lengths = np.convolve(is_at_limit, np.ones(_MIN_SATURATED_RUN), mode="same")
     is_fine = len(np.unique(tau)) > _FINE_LEVELS
-    return (
-        float(np.mean(is_at_limit))
-        if is_fine and run_lengths.max(initial=0.0) >= _MIN_SATURATED_RUN
-        else 0.0
-    )
+    if is_fine and run_lengths.max(initial=0.0) >= _MIN_SATURATED_RUN:
+        return float(np.mean(is_at_limit))
+    return 0.0
 
 
 _MAX_SKIPPED_SHARE = 0.05  # allowed share of steps longer than 1.8 periods
@@ -444,9 +472,8 @@ def loses_rows(log: Log) -> bool:
         return False
     steps = np.diff(log.t)
     periods = steps / np.median(steps[steps <= 1.5 * np.quantile(steps, 0.1)])
-    return (
-        float(np.mean(np.abs(periods - np.rint(periods)) > _GRID_TOLERANCE)) < _MIN_IRREGULAR_SHARE
-    )
+    is_off_grid = np.abs(periods - np.rint(periods)) > _GRID_TOLERANCE
+    return float(np.mean(is_off_grid)) < _MIN_IRREGULAR_SHARE
 
 
 def check_loss(part: SmoothPart, torques: ModelTorques, robot: Robot) -> Iterator[Hypothesis]:

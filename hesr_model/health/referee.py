@@ -86,7 +86,9 @@ class Race:
         """Whether the hypothesis wins, loses, or leads within its uncertainty."""
         if not self.gain.value > self.min_gain:
             return "lost"
-        return "won" if self.gain.value > _RACE_ERRORS * self.gain.error else "open"
+        if self.gain.value > _RACE_ERRORS * self.gain.error:
+            return "won"
+        return "open"
 
     @property
     def doubt(self) -> str:
@@ -121,7 +123,9 @@ class Statistic:
         excess = max(self.low - self.estimate.value, self.estimate.value - self.high)
         if not excess > 0.0:
             return "lost"
-        return "won" if excess > self.errors * self.estimate.error else "open"
+        if excess > self.errors * self.estimate.error:
+            return "won"
+        return "open"
 
     @property
     def doubt(self) -> str:
@@ -163,7 +167,9 @@ class Hypothesis:
         outcomes = {trial.outcome for trial in self.trials}
         if "lost" in outcomes:
             return "lost"
-        return "open" if "open" in outcomes or self.contradictions else "won"
+        if "open" in outcomes or self.contradictions:
+            return "open"
+        return "won"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -216,20 +222,23 @@ def _add_settings(remedy: str, changes: Mapping[str, Any]) -> str:
 def _doubt(hypothesis: Hypothesis) -> Finding:
     reasons = [trial.doubt for trial in hypothesis.trials if trial.outcome == "open"]
     reasons += hypothesis.contradictions
-    record = f"; record {hypothesis.record} to find out" if hypothesis.record else ""
+    remedy = f"cannot tell, because {'; '.join(reasons)}"
+    if hypothesis.record:
+        remedy += f"; record {hypothesis.record} to find out"
     return Finding(
         check=hypothesis.check,
         severity="advice",
         joints=_name_joints(hypothesis),
         logs=hypothesis.logs,
         found=f"{hypothesis.observation}",
-        remedy=f"cannot tell, because {'; '.join(reasons)}{record}",
+        remedy=remedy,
     )
 
 
 def _name_joints(hypothesis: Hypothesis) -> tuple[str, ...]:
-    joint = (hypothesis.joint,) if hypothesis.joint else ()
-    return (*joint, *hypothesis.further_joints)
+    if not hypothesis.joint:
+        return hypothesis.further_joints
+    return (hypothesis.joint, *hypothesis.further_joints)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -97,17 +97,16 @@ class LagRows:
             log.t[0] + _MAX_DELAY, log.t[-1] - _MAX_DELAY, max(_AVERAGE_SPACING, log.period)
         )
         body_rows = slice(None, None, max(1, round(_BODY_SPACING / log.period)))
-        q, dq, ddq = (values[body_rows] for values in (motion.q, motion.dq, motion.ddq))
+        q = motion.q[body_rows]
         zeros = np.zeros_like(q)
         static_regressor = robot.regressor(q, zeros, zeros)[:, :, list(base)]
-        total_regressor = robot.regressor(q, dq, ddq)[:, :, list(base)]
+        total_regressor = robot.regressor(q, motion.dq[body_rows], motion.ddq[body_rows])
+        total_regressor = total_regressor[:, :, list(base)]
         tau = log.tau
         if logged_coupling is not None:
-            static_regressor, total_regressor, tau = (
-                logged_coupling.torque(static_regressor),
-                logged_coupling.torque(total_regressor),
-                logged_coupling.torque(tau),
-            )
+            static_regressor = logged_coupling.torque(static_regressor)
+            total_regressor = logged_coupling.torque(total_regressor)
+            tau = logged_coupling.torque(tau)
         u = transform_motion(logged_coupling, log.q)
         v = transform_motion(logged_coupling, motion.dq)
         distance = np.maximum.accumulate(np.abs(u - u[0]), axis=0)
@@ -118,6 +117,8 @@ class LagRows:
         torque_spline = make_interp_spline(
             even_times, _build_averages(log.t, even_times, log.period) @ tau, k=1
         )
+        # Friction remembers what was before the log until a joint has passed all deflections.
+        has_forgotten = distance > 2.0 * memory.widths[-1] * travel
         return cls(
             torques=torque_spline(times[:, None] + _SHIFTS),
             static=_average_rows(body_averages, static_regressor),
@@ -126,7 +127,7 @@ class LagRows:
                 averages @ _compute_friction_shapes(u[:, j], v[:, j], memory)
                 for j in range(robot.n)
             ),
-            is_known=averages @ (1.0 * (distance > 2.0 * memory.widths[-1] * travel)) > 1.0 - 1e-9,
+            is_known=averages @ (1.0 * has_forgotten) > 1.0 - 1e-9,
         )
 
 
@@ -196,25 +197,24 @@ def check_clocks(
     joint_lags = find_lags(rows, joints)
     # Joints with one lag confirm each other; that of a single joint may be memory of its friction.
     is_common = len(joint_lags) > 1 and len(set(joint_lags.values())) == 1
-    trials_by_joint: dict[int, tuple[Race | Statistic, ...]] = {}
-    if is_common:
-        trials_by_joint = {j: (_race_lag(rows, j, lag),) for j, lag in joint_lags.items()}
-    elif joint_lags:
+    rival_rows = rows
+    if joint_lags and not is_common:
         rival_rows = LagRows.from_log(part.log, robot, base, _RIVAL_MEMORY)
-        trials_by_joint = {j: _try_memory(rival_rows, j, lag) for j, lag in joint_lags.items()}
-    lag_hypotheses = [
-        _doubt_lag(j, lag, robot, trials_by_joint[j]) for j, lag in joint_lags.items()
-    ]
-    late_joints = {
-        j
-        for j, hypothesis in zip(joint_lags, lag_hypotheses, strict=True)
-        if hypothesis.outcome == "won"
-    }
+    hypotheses: list[Hypothesis] = []
+    late_joints: set[int] = set()
+    for j, lag in joint_lags.items():
+        if is_common:
+            trials: tuple[Race | Statistic, ...] = (_race_lag(rows, j, lag),)
+        else:
+            trials = _try_memory(rival_rows, j, lag)
+        hypothesis = _doubt_lag(j, lag, robot, trials)
+        hypotheses.append(hypothesis)
+        if hypothesis.outcome == "won":
+            late_joints.add(j)
     rate, certainty = estimate_stamp_rate(rows, joints)
-    rate_hypotheses = []
     if max(rate, 1.0 / rate) > _MIN_REPORTED_RATE:
-        rate_hypotheses.append(_doubt_rate(rate, certainty))
-    return [*lag_hypotheses, *rate_hypotheses], late_joints
+        hypotheses.append(_doubt_rate(rate, certainty))
+    return hypotheses, late_joints
 
 
 def _doubt_lag(
@@ -295,7 +295,9 @@ def _try_memory(rows: LagRows, j: int, lag: Estimate) -> tuple[Race | Statistic,
 
 
 def _doubt_rate(rate: float, certainty: float) -> Hypothesis:
-    speed_text = f"{rate:.2g} times slower" if rate > 1 else f"{1 / rate:.2g} times faster"
+    speed_text = f"{rate:.2g} times slower"
+    if rate <= 1:
+        speed_text = f"{1 / rate:.2g} times faster"
     distance = abs(float(np.log(rate)))
     return Hypothesis(
         check="time-scale",
@@ -324,47 +326,50 @@ def find_lags(rows: LagRows, joints: Sequence[int]) -> dict[int, Estimate]:
     between those of fits with and without it. Friction with memory comes close to the lag of most
     joints together.
     """
-    lag_pairs = {j: estimate_delays(rows, j) for j in joints}
-    lags_with_memory, lags_without_memory = (
-        {j: lag_pair[k] for j, lag_pair in lag_pairs.items()} for k in range(2)
-    )
+    lags_with_memory: dict[int, Estimate] = {}
+    lags_without_memory: dict[int, Estimate] = {}
+    for j in joints:
+        lags_with_memory[j], lags_without_memory[j] = estimate_delays(rows, j)
     systematic_errors = [
         _SYSTEMATIC_SHARE * abs(lags_without_memory[j].value - lags_with_memory[j].value)
         for j in joints
     ]
-    common_lag, memoryless_lag = (
-        estimate_common_delay(list(lags.values()), systematic_errors)
-        for lags in (lags_with_memory, lags_without_memory)
-    )
-    largest_lag = max(common_lag, memoryless_lag, key=lambda lag: lag.value)
-    if (
-        _is_reportable(common_lag)
-        if common_lag.value > 0.0
-        else (largest_lag.value < 0.0 and _is_reportable(largest_lag))
-    ):
+    common_lag = estimate_common_delay(list(lags_with_memory.values()), systematic_errors)
+    memoryless_lag = estimate_common_delay(list(lags_without_memory.values()), systematic_errors)
+    if _is_common_lag(common_lag, memoryless_lag):
         return dict.fromkeys(joints, common_lag)
     reported_lags = {}
     for j in joints:
-        middle_lag = 0.5 * (lags_with_memory[j].value + lags_without_memory[j].value)
-        half_difference = 0.5 * abs(lags_with_memory[j].value - lags_without_memory[j].value)
-        error = half_difference / _INTERVAL_ERRORS + max(
-            lags_with_memory[j].error, lags_without_memory[j].error
-        )
-        if (
-            _MIN_REPORTED_LAG + _INTERVAL_ERRORS * error
-            < middle_lag
-            < _MAX_DELAY - 2.0 * _SEARCH_STEP
-        ):
-            reported_lags[j] = Estimate(value=middle_lag, error=error)
+        lag = _enclose_lag(lags_with_memory[j], lags_without_memory[j])
+        lowest = _MIN_REPORTED_LAG + _INTERVAL_ERRORS * lag.error
+        # Close to the end of the search range a lag may be any longer one.
+        if lowest < lag.value < _MAX_DELAY - 2.0 * _SEARCH_STEP:
+            reported_lags[j] = lag
     return reported_lags
+
+
+def _is_common_lag(with_memory: Estimate, without_memory: Estimate) -> bool:
+    """Return whether all joints surely lag, or lead even by the later one of both estimates."""
+    if with_memory.value > 0.0:
+        return _is_reportable(with_memory)
+    latest_lag = max(with_memory, without_memory, key=lambda lag: lag.value)
+    return latest_lag.value < 0.0 and _is_reportable(latest_lag)
+
+
+def _enclose_lag(with_memory: Estimate, without_memory: Estimate) -> Estimate:
+    """Return the middle of two lags, with an error that encloses both and their errors."""
+    middle = 0.5 * (with_memory.value + without_memory.value)
+    half_difference = 0.5 * abs(with_memory.value - without_memory.value)
+    error = half_difference / _INTERVAL_ERRORS + max(with_memory.error, without_memory.error)
+    return Estimate(value=middle, error=error)
 
 
 def _is_reportable(lag: Estimate) -> bool:
     """Return whether a lag is surely not 0, and known well or large."""
     half_interval = _INTERVAL_ERRORS * lag.error
-    return abs(lag.value) > half_interval + (
-        0.0 if half_interval < _NARROW_HALF_INTERVAL else _MIN_REPORTED_LAG
-    )
+    if half_interval < _NARROW_HALF_INTERVAL:
+        return abs(lag.value) > half_interval
+    return abs(lag.value) > half_interval + _MIN_REPORTED_LAG
 
 
 def estimate_common_delay(lags: Sequence[Estimate], systematic_errors: Sequence[float]) -> Estimate:
@@ -373,17 +378,16 @@ def estimate_common_delay(lags: Sequence[Estimate], systematic_errors: Sequence[
     Its standard error includes their spread; it is infinite for fewer than three lags, whose spread
     is unknown.
     """
-    pairs = zip(lags, systematic_errors, strict=True)
-    finite_lags = [
-        (lag.value, np.hypot(lag.error, systematic_error))
-        for lag, systematic_error in pairs
-        if np.isfinite(lag.error)
-    ]
+    finite_lags = []
+    for lag, systematic_error in zip(lags, systematic_errors, strict=True):
+        if np.isfinite(lag.error):
+            finite_lags.append((lag.value, np.hypot(lag.error, systematic_error)))
     if len(finite_lags) < 3:
         return Estimate(value=0.0, error=np.inf)
     values, errors = np.array(finite_lags).T
     order = np.argsort(values)
-    values, weights = values[order], errors[order] ** -2.0 / np.sum(errors**-2.0)
+    values = values[order]
+    weights = errors[order] ** -2.0 / np.sum(errors**-2.0)
     median = float(np.interp(0.5, np.cumsum(weights) - 0.5 * weights, values))
     spread = weights @ (values - median) ** 2 / (len(finite_lags) - 1)
     return Estimate(value=median, error=float(np.sqrt(spread + 1.0 / np.sum(errors**-2.0))))

@@ -58,12 +58,15 @@ def try_descriptions(
     trials = []
     for changes in alternatives:
         changed = apply_changes(description, changes)
+        parts: list[SmoothPart] = []
         try:
-            logs = read_logs(changed)
-            parts = [part for log in logs for part in smooth_parts(log, changed.log.filter_cutoff)]
+            for log in read_logs(changed):
+                parts += smooth_parts(log, changed.log.filter_cutoff)
         except LogError:
             continue
-        robot = Robot(changed) if has_model and changed.known is None else None
+        robot = None
+        if has_model and changed.known is None:
+            robot = Robot(changed)
         trials.append(_try_parts(find_rests(parts), robot, changes))
     return trials
 
@@ -75,9 +78,8 @@ def _try_parts(
     split = LeftOutRows.split(
         [part.log.name for part in thinned_parts], [part.t for part in thinned_parts]
     )
-    row_count = sum(len(part.t) for part in thinned_parts)
-    squares = np.zeros(row_count)
-    squares_without_friction = np.zeros(row_count)
+    squares = np.zeros(sum(len(part.t) for part in thinned_parts))
+    squares_without_friction = np.zeros_like(squares)
     is_moving = np.any([part.is_moving for part in parts], axis=0)
     torques = [_compute_rigid_columns(part, robot) for part in thinned_parts]
     for j in np.flatnonzero(is_moving):
@@ -89,8 +91,7 @@ def _try_parts(
             squares += 1.0
             squares_without_friction += 1.0
             continue
-        peak = float(np.max(np.abs(v))) or 1.0
-        friction = np.column_stack([np.tanh(v / (_KNEE_SHARE * peak)), v / peak])
+        friction = _build_friction_columns(v)
         squares += (split.predict(np.hstack([rigid, friction]), tau) / deviation) ** 2
         squares_without_friction += (split.predict(rigid, tau) / deviation) ** 2
     friction_gain = Race(
@@ -102,6 +103,12 @@ def _try_parts(
 
 
 _KNEE_SHARE = 0.05  # speed, over the peak, up to which friction rises
+
+
+def _build_friction_columns(v: Array) -> Array:
+    """Return Coulomb and viscous friction (N, 2) over a velocity (N,)."""
+    peak = float(np.max(np.abs(v))) or 1.0
+    return np.column_stack([np.tanh(v / (_KNEE_SHARE * peak)), v / peak])
 
 
 def _compute_rigid_columns(part: SmoothPart, robot: Robot | None) -> Array:

@@ -76,19 +76,20 @@ def match_velocity(
     tells; a velocity with an offset has the slope of its deviations. Whichever is more certain is
     the slope, and the better explanation the correlation.
     """
-    comparisons = [
-        _compare_moments(v - v_mean, dq - dq_mean, noise)
-        for v_mean, dq_mean in ((np.mean(v), np.mean(dq)), (0.0, 0.0))
-    ]
-    slope = min((slope for slope, _ in comparisons), key=lambda slope: slope.error)
-    correlation = max((correlation for _, correlation in comparisons), key=lambda c: abs(c.value))
+    slope_about_mean, correlation_about_mean = _compare_moments(
+        v - np.mean(v), dq - np.mean(dq), noise
+    )
+    slope_through_origin, correlation_through_origin = _compare_moments(v, dq, noise)
+    slope = min(slope_about_mean, slope_through_origin, key=lambda estimate: estimate.error)
+    correlation = max(
+        correlation_about_mean,
+        correlation_through_origin,
+        key=lambda estimate: abs(estimate.value),
+    )
     mismatch_error = np.inf
     if np.isfinite(correlation.error):
         mismatch_error = 2.0 * abs(correlation.value) * correlation.error
-    mismatch = Estimate(
-        value=1.0 - correlation.value**2,
-        error=mismatch_error,
-    )
+    mismatch = Estimate(value=1.0 - correlation.value**2, error=mismatch_error)
     lag = _find_lag(v, dq, period)
     sign = -1.0 if correlation.value < 0.0 else 1.0
     return VelocityMatch(
@@ -135,7 +136,10 @@ def _estimate_by_jackknife(values: Array) -> Estimate:
 
 
 def _compute_correlation(a: Array, b: Array) -> float:
-    return 0.0 if not (np.std(a) > 0.0 and np.std(b) > 0.0) else float(np.corrcoef(a, b)[0, 1])
+    # Without scatter there is none, nor with a deviation of NaN.
+    if not (np.std(a) > 0.0 and np.std(b) > 0.0):
+        return 0.0
+    return float(np.corrcoef(a, b)[0, 1])
 
 
 def _find_lag(v: Array, dq: Array, period: float) -> Estimate:
@@ -149,21 +153,21 @@ def _find_lag(v: Array, dq: Array, period: float) -> Estimate:
         return unknown_lag
     inner_v = v[max_shift:-max_shift]
     shifts = np.arange(-max_shift, max_shift + 1)
-    correlations = np.array(
-        [
-            abs(_compute_correlation(inner_v, dq[max_shift + k : len(dq) - max_shift + k]))
-            for k in shifts
-        ]
-    )
+    correlations = np.zeros(len(shifts))
+    for k, shift in enumerate(shifts):
+        shifted_dq = dq[max_shift + shift : len(dq) - max_shift + shift]
+        correlations[k] = abs(_compute_correlation(inner_v, shifted_dq))
     best = int(np.argmax(correlations))
     lag = float(shifts[best] * period)
     if best in (0, len(shifts) - 1):
         return Estimate(value=lag, error=np.inf)
-    shift = int(shifts[best])
-    shifted_dq = dq[max_shift + shift : len(dq) - max_shift + shift]
-    deviations = shifted_dq - np.mean(shifted_dq)
+    best_shift = int(shifts[best])
+    best_dq = dq[max_shift + best_shift : len(dq) - max_shift + best_shift]
+    deviations = best_dq - np.mean(best_dq)
     squares = float(deviations @ deviations)
-    slope = float(deviations @ inner_v) / squares if squares > 0.0 else 0.0
+    slope = 0.0
+    if squares > 0.0:
+        slope = float(deviations @ inner_v) / squares
     residual = inner_v - np.mean(inner_v) - slope * deviations
     independent_rows = len(residual) / correlation_length(residual)
     unexplained = np.maximum(1.0 - correlations[best - 1 : best + 2] ** 2, 1e-12)
@@ -173,9 +177,8 @@ def _find_lag(v: Array, dq: Array, period: float) -> Estimate:
         return Estimate(value=lag, error=np.inf)
     # A peak of noise is as sharp as one of motion, but hardly likelier than no lag.
     unexplained_at_once = max(1.0 - correlations[max_shift] ** 2, 1e-12)
-    certainty = float(
-        np.sqrt(2.0 * max(0.5 * independent_rows * np.log(unexplained_at_once) - at, 0.0))
-    )
+    likelihood_gain = max(0.5 * independent_rows * np.log(unexplained_at_once) - at, 0.0)
+    certainty = float(np.sqrt(2.0 * likelihood_gain))
     error = max(period / np.sqrt(curvature), abs(lag) / max(certainty, 1e-300))
     return Estimate(value=lag, error=float(error))
 
@@ -208,12 +211,10 @@ def check_velocity(
     joints = np.array(
         [j for j in np.flatnonzero(part.is_moving) if description.joints[j] not in excluded_joints]
     )
-    matches = {
-        int(j): match_velocity(
-            v[:, j], dq[:, j], part.period, (float(v_noise[j]), float(dq_noise[j]))
-        )
-        for j in joints
-    }
+    matches: dict[int, VelocityMatch] = {}
+    for j in joints:
+        noise = float(v_noise[j]), float(dq_noise[j])
+        matches[int(j)] = match_velocity(v[:, j], dq[:, j], part.period, noise)
     column_of_joint = _match_columns(v, dq, joints)
     for j, match in matches.items():
         joint = description.joints[j]
@@ -246,18 +247,20 @@ def check_velocity(
 
 
 def _match_columns(v: Array, dq: Array, joints: Integers) -> dict[int, int]:
+    """Return the column that follows the motion of each joint, if any; each serves one joint."""
     from scipy.optimize import linear_sum_assignment
 
-    correlations = np.array(
-        [[abs(_compute_correlation(v[:, j], dq[:, k])) for k in joints] for j in joints]
-    )
-    if not correlations.size:
+    if not len(joints):
         return {}
+    correlations = np.zeros((len(joints), len(joints)))
+    for row, j in enumerate(joints):
+        for column, k in enumerate(joints):
+            correlations[row, column] = abs(_compute_correlation(v[:, j], dq[:, k]))
     rows, columns = linear_sum_assignment(-correlations)
     return {
-        int(joints[j]): int(joints[k])
-        for j, k in zip(rows, columns, strict=True)
-        if correlations[j, k] > _MIN_CORRELATION
+        int(joints[row]): int(joints[column])
+        for row, column in zip(rows, columns, strict=True)
+        if correlations[row, column] > _MIN_CORRELATION
     }
 
 
@@ -278,32 +281,27 @@ def _doubt_column(
     if other_joint != j:
         columns = column_names(description.log.columns.dq, description.joints)
         ordered_columns = [columns[column_of_joint.get(k, k)] for k in range(len(columns))]
-        own_squares, other_squares = (
-            left_out.predict(dq[:, [column]], v[:, j]) ** 2 for column in (j, other_joint)
+        race = Race(
+            rival="its own column",
+            rival_squares=left_out.predict(dq[:, [j]], v[:, j]) ** 2,
+            squares=left_out.predict(dq[:, [other_joint]], v[:, j]) ** 2,
+            min_gain=CURE_GAIN,
         )
         return Hypothesis(
             check="velocity-columns",
             joint=joint,
             observation=observation,
             remedy=f"its velocity is in the column of joint '{description.joints[other_joint]}'",
-            trials=(
-                mismatch,
-                Race(
-                    rival="its own column",
-                    rival_squares=own_squares,
-                    squares=other_squares,
-                    min_gain=CURE_GAIN,
-                ),
-            ),
+            trials=(mismatch, race),
             record=_TELLING_MOTION,
             changes={"log.columns.dq": tuple(ordered_columns)},
         )
-    is_late = abs(match.lag) > _MIN_LAG_TO_PERIOD * match.lag_error
-    lag_remark = f", and is {match.lag * 1e3:.0f} ms late" if is_late else ""
+    if abs(match.lag) > _MIN_LAG_TO_PERIOD * match.lag_error:
+        observation += f", and is {match.lag * 1e3:.0f} ms late"
     return Hypothesis(
         check="velocity-match",
         joint=joint,
-        observation=observation + lag_remark,
+        observation=observation,
         remedy=f"the column contains another signal or a filtered one; {_DERIVE_REMEDY}",
         trials=(mismatch,),
         record=_TELLING_MOTION,
@@ -324,14 +322,18 @@ def _doubt_lag(
     if abs(match.lag) <= resolution:
         return
     shift = round(match.lag / part.period)
-    late_dq = np.roll(dq[:, j], -shift)
+    shifted_dq = np.roll(dq[:, j], -shift)
+    # Rows that the shift takes from the other end are no data.
     is_inside = np.ones(len(v), dtype=bool)
-    is_inside[-shift if shift > 0 else 0 : None if shift > 0 else -shift] = False
+    if shift > 0:
+        is_inside[-shift:] = False
+    else:
+        is_inside[:-shift] = False
     # One slope and offset for both: a shifted window may hold more motion, which fits by itself.
     offset = float(np.mean(v[:, j] - match.slope * dq[:, j]))
-    rival_squares, squares = (
-        (v[:, j] - match.slope * column - offset)[is_inside] ** 2 for column in (dq[:, j], late_dq)
-    )
+    rival_errors = v[:, j] - match.slope * dq[:, j] - offset
+    errors = v[:, j] - match.slope * shifted_dq - offset
+    relative_lag = Estimate(value=abs(match.lag) / resolution, error=match.lag_error / resolution)
     direction = "late" if match.lag > 0 else "early"
     yield Hypothesis(
         check="velocity-lag",
@@ -343,12 +345,14 @@ def _doubt_lag(
         trials=(
             Statistic(
                 name="its lag over the shortest that can be told",
-                estimate=Estimate(
-                    value=abs(match.lag) / resolution, error=match.lag_error / resolution
-                ),
+                estimate=relative_lag,
                 high=1.0,
             ),
-            Race(rival="no lag", rival_squares=rival_squares, squares=squares),
+            Race(
+                rival="no lag",
+                rival_squares=rival_errors[is_inside] ** 2,
+                squares=errors[is_inside] ** 2,
+            ),
         ),
         record=_TELLING_MOTION,
         changes={"log.columns.dq": ""},
@@ -362,11 +366,10 @@ def _doubt_sign(
     match = matches[j]
     if match.slope > 0.0:
         return
-    declared_units = enumerate(
-        description.log.units.expand_per_joint("dq", len(description.joints))
-    )
-    opposite_joints = {k for k, other in matches.items() if other.correlation < -_MIN_CORRELATION}
-    units = [reverse_unit(unit) if k in opposite_joints else unit for k, unit in declared_units]
+    units = list(description.log.units.expand_per_joint("dq", len(description.joints)))
+    for k, other_match in matches.items():
+        if other_match.correlation < -_MIN_CORRELATION:
+            units[k] = reverse_unit(units[k])
     scale = abs(match.slope)
     yield Hypothesis(
         check="velocity-sign",
@@ -401,8 +404,12 @@ def _doubt_scale(
     if abs(np.log(ratio)) < _MAX_SCALE_WARNING:
         return
     cause, changes = _find_cause(description, j, matches, part, slides)
-    ratio_text = f"{ratio:.3g} times faster" if ratio > 1 else f"{1 / ratio:.3g} times slower"
-    severity: Severity = "error" if abs(np.log(ratio)) > _MAX_SCALE_ERROR else "warning"
+    ratio_text = f"{ratio:.3g} times faster"
+    if ratio <= 1:
+        ratio_text = f"{1 / ratio:.3g} times slower"
+    severity: Severity = "warning"
+    if abs(np.log(ratio)) > _MAX_SCALE_ERROR:
+        severity = "error"
     sign = float(np.sign(match.slope))
     yield Hypothesis(
         check="velocity-scale",
@@ -443,9 +450,10 @@ def _find_cause(
     unit_cause = _find_joint_unit(description, j, ratio, part, slides, concerns_all=concerns_all)
     if unit_cause is not None:
         return unit_cause
-    motor_cause = None if slides[j] else _find_motor_unit(description, j, ratio)
-    if motor_cause is not None:
-        return motor_cause
+    if not slides[j]:
+        motor_cause = _find_motor_unit(description, j, ratio)
+        if motor_cause is not None:
+            return motor_cause
     if concerns_all:
         clock_cause = _find_clock(description.log.units, matches, part.log)
         if clock_cause is not None:
@@ -474,19 +482,21 @@ def _find_joint_unit(
     is_corrected = [
         k == j or (concerns_all and is_sliding == slides[j]) for k, is_sliding in enumerate(slides)
     ]
-    exceeds_turns = np.max(np.ptp(part.q, axis=0)) > _MAX_ARM_TRAVEL
-    for quantity in ("q", "dq") if exceeds_turns else ("dq", "q"):
-        # q' = q f scales the derivative of the position by f, dq' = dq f the logged velocity.
-        needed_factor = 1.0 / ratio if quantity == "q" else ratio
+    # q' = q f scales the derivative of the position by f, dq' = dq f the logged velocity.
+    needed_factors = {"dq": ratio, "q": 1.0 / ratio}
+    quantities = ["dq", "q"]
+    if np.max(np.ptp(part.q, axis=0)) > _MAX_ARM_TRAVEL:
+        quantities = ["q", "dq"]  # the position is the likelier one
+    for quantity in quantities:
         declared_factor = float(units.factors(quantity, len(slides))[j])
-        unit = _find_unit(known_units[quantity], declared_factor, needed_factor)
+        unit = _find_unit(known_units[quantity], declared_factor, needed_factors[quantity])
         if unit is None:
             continue
         joint_units = units.replace_units(quantity, is_corrected, unit)
         is_only_unit = concerns_all and set(joint_units) == {unit}
-        changes: dict[str, object] = {
-            f"log.units.{quantity}": unit if is_only_unit else joint_units
-        }
+        changes: dict[str, object] = {f"log.units.{quantity}": joint_units}
+        if is_only_unit:
+            changes = {f"log.units.{quantity}": unit}
         return f"{quantity} is in {unit}", changes
     return None
 
@@ -495,9 +505,9 @@ def _find_motor_unit(
     description: RobotDescription, j: int, ratio: float
 ) -> tuple[str, dict[str, object]] | None:
     """Return the unit in which a velocity or position before the stated gear explains a ratio."""
-    gear_ratio = description.gear_ratio[j] if description.gear_ratio else 1.0
-    if gear_ratio == 1.0:
+    if not description.gear_ratio or description.gear_ratio[j] == 1.0:
         return None
+    gear_ratio = description.gear_ratio[j]
     units = description.log.units
     joint_count = len(description.joints)
     is_joint = [k == j for k in range(joint_count)]
