@@ -68,8 +68,8 @@ def attack(
     best = max(attacks, key=lambda a: a.energy)  # the first of equal ones
     if best.energy > 0.0:
         return best, len(attacks)
-    found, tried_count = _try_tone_cycles(law, trained_range)
-    return found, len(attacks) + tried_count
+    tone_attack, tried_count = _try_tone_cycles(law, trained_range)
+    return tone_attack, len(attacks) + tried_count
 
 
 def _try_sine_cycles(law: FrictionLaw, trained_range: TrainedRange) -> Iterator[Attack]:
@@ -77,7 +77,9 @@ def _try_sine_cycles(law: FrictionLaw, trained_range: TrainedRange) -> Iterator[
     loads = choose_loads(law, trained_range)
     for response in compute_responses(law, trained_range, amplitudes, loads, _run):
         for cycle in measure_cycles(*response):
-            energy = -cycle.work if cycle.share < -MIN_SHARE else 0.0
+            energy = 0.0
+            if cycle.share < -MIN_SHARE:
+                energy = -cycle.work
             yield Attack(
                 energy=energy,
                 amplitude=cycle.amplitude,
@@ -91,14 +93,14 @@ def _try_tone_cycles(law: FrictionLaw, trained_range: TrainedRange) -> tuple[Att
     cycle, energy, tried_count = find_generating_cycle(law, trained_range, loads)
     if cycle is None:
         return None, tried_count
-    found = Attack(
+    tone_attack = Attack(
         energy=energy,
         amplitude=float(cycle.amplitudes.sum()),
         frequency=float(cycle.frequency[0]),
         mean=float(cycle.tau_load[0]),
         tones=cycle.describe(),
     )
-    return found, tried_count
+    return tone_attack, tried_count
 
 
 def _try_two_speed_cycles(
@@ -129,11 +131,13 @@ def _try_two_speed_cycles(
 
 def _last_generated_energy(last_power: Array, previous_power: Array) -> float:
     """Return the energy generated in the last cycle if the last two agree, else 0."""
-    generates = last_power.sum() < -MIN_SHARE * np.abs(last_power).sum()
-    is_repeated = abs(last_power.sum() - previous_power.sum()) < CYCLE_TOLERANCE * abs(
-        last_power.sum()
-    )
-    return -float(last_power.sum()) if generates and is_repeated else 0.0
+    work = last_power.sum()
+    change = abs(work - previous_power.sum())
+    generates = work < -MIN_SHARE * np.abs(last_power).sum()
+    is_repeated = change < CYCLE_TOLERANCE * abs(work)
+    if generates and is_repeated:
+        return -float(work)
+    return 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

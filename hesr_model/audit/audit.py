@@ -77,9 +77,12 @@ def measure_cycles(motions: ClosedMotions, tau_load: float, tau: Array) -> Itera
     for amplitude, row_power in zip(motions.amplitudes, power, strict=True):
         work = float(row_power.sum()) * dt
         exchanged_work = float(np.abs(row_power).sum()) * dt
-        share = work / exchanged_work if exchanged_work > 0.0 else 0.0
+        share = 0.0
+        if exchanged_work > 0.0:
+            share = work / exchanged_work
         if abs(share) < _WORK_ROUND_OFF:
-            work = share = 0.0
+            work = 0.0
+            share = 0.0
         yield Cycle(
             amplitude=float(amplitude),
             frequency=motions.frequency,
@@ -130,39 +133,53 @@ Response = tuple[ClosedMotions, float, Array]  # motions, their constant load an
 def audit(law: FrictionLaw, trained_range: TrainedRange) -> Audit:
     """Audit the law of one joint; raises SimulationError if its torque is not finite in range."""
     loads = choose_loads(law, trained_range)
-    motion_responses = list(
-        compute_responses(law, trained_range, np.multiply(AMPLITUDES, trained_range.speed), loads)
-    )
-    largest = _find_largest_torque(motion_responses)
+    amplitudes = np.multiply(AMPLITUDES, trained_range.speed)
+    responses = list(compute_responses(law, trained_range, amplitudes, loads))
+    largest = _find_largest_torque(responses)
     if not isfinite(largest):
         raise SimulationError(f"law '{law.name}': torque is not finite within the trained range.")
-    largest_outside = _extrapolate_largest_torque(law, trained_range)
+    outside = _extrapolate_largest_torque(law, trained_range)
+    largest_outside = None
+    if isfinite(outside):
+        largest_outside = max(largest, outside)
     driving, driving_both_ways = _find_driving_speeds(law, trained_range, loads)
-    cycle = min(
-        (c for response in motion_responses for c in measure_cycles(*response)),
-        key=lambda c: c.work,
-    )
-    generating = cycle if cycle.work < 0.0 else None
+    cycles: list[Cycle] = []
+    for response in responses:
+        cycles += measure_cycles(*response)
+    worst_cycle = min(cycles, key=lambda cycle: cycle.work)
+    generating = None
+    generated = 0.0
+    if worst_cycle.work < 0.0:
+        generating = worst_cycle
+        generated = -worst_cycle.work
     jump, slope = _measure_jump_and_slope(law, trained_range, loads, 0.0)
     _, slope_of_step = _measure_jump_and_slope(law, trained_range, loads, trained_range.sample_time)
-    dq, q, settling_rows = encoder_noise(trained_range)
-    t = trained_range.sample_time * np.arange(len(dq), dtype=float)
-    rest_torques = (
-        _run(law, t, dq, q, np.full(t.shape, tau_load))[settling_rows:] for tau_load in loads
-    )
     return Audit(
         driving=driving,
         driving_both_ways=driving_both_ways,
-        generated=-generating.work if generating else 0.0,
+        generated=generated,
         generating=generating,
         jump=jump,
         slope=slope,
         slope_of_step=slope_of_step,
-        chatter=max(float(np.std(tau)) for tau in rest_torques),
+        chatter=_measure_chatter(law, trained_range, loads),
         largest=largest,
-        largest_outside=max(largest, largest_outside) if isfinite(largest_outside) else None,
-        explodes=_is_too_large(largest_outside, trained_range),
+        largest_outside=largest_outside,
+        explodes=_is_too_large(outside, trained_range),
     )
+
+
+def _measure_chatter(
+    law: FrictionLaw, trained_range: TrainedRange, loads: Sequence[float]
+) -> float:
+    """Return the largest deviation of the torque [N.m] at a noisy rest."""
+    dq, q, settling_rows = encoder_noise(trained_range)
+    t = trained_range.sample_time * np.arange(len(dq), dtype=float)
+    deviations = []
+    for tau_load in loads:
+        tau = _run(law, t, dq, q, np.full(t.shape, tau_load))
+        deviations.append(float(np.std(tau[settling_rows:])))
+    return max(deviations)
 
 
 def explodes(law: FrictionLaw, trained_range: TrainedRange) -> bool:
@@ -212,16 +229,12 @@ def _find_largest_torque(motion_responses: Sequence[Response]) -> float:
 
 def _extrapolate_largest_torque(law: FrictionLaw, trained_range: TrainedRange) -> float:
     amplitudes = trained_range.speed * np.linspace(1.0, REACH, 3)
+    loads = choose_loads(law, trained_range, REACH)
     try:
-        return _find_largest_torque(
-            list(
-                compute_responses(
-                    law, trained_range, amplitudes, choose_loads(law, trained_range, REACH)
-                )
-            )
-        )
+        responses = list(compute_responses(law, trained_range, amplitudes, loads))
     except SimulationError:
         return np.inf
+    return _find_largest_torque(responses)
 
 
 def _is_too_large(torque: float, trained_range: TrainedRange) -> bool:
@@ -236,11 +249,12 @@ def _find_driving_speeds(
     slow = np.geomspace(SLOWEST_SPEED, 1.0, 61)
     speeds = trained_range.speed * np.union1d(linear, slow)
     velocities = np.concatenate([-speeds[::-1], speeds])
-    position_count = _POSITION_COUNT if Q in law.form.inputs else 1
+    position_count = 1
+    if Q in law.form.inputs:
+        position_count = _POSITION_COUNT
     # Multiples of the golden ratio avoid aliasing with ripple.
-    positions = trained_range.q[0] + np.ptp(trained_range.q) * (
-        (0.5 + np.arange(position_count) * 0.6180339887) % 1.0
-    )
+    shares = (0.5 + np.arange(position_count) * 0.6180339887) % 1.0
+    positions = trained_range.q[0] + np.ptp(trained_range.q) * shares
     dq, tau_load, q = (
         axis.ravel() for axis in np.meshgrid(velocities, np.array(loads), positions, indexing="ij")
     )
@@ -274,10 +288,9 @@ def _measure_jump_and_slope(
 
     def difference(speed: float, tau_load: float) -> float:
         constant_load = np.full(2, tau_load)
-        torques = [
-            _run(law, t, np.array([0.0, dq]), q, constant_load)[-1] for dq in (speed, -speed)
-        ]
-        return float(torques[0] - torques[1])
+        forward_torque = _run(law, t, np.array([0.0, speed]), q, constant_load)[-1]
+        backward_torque = _run(law, t, np.array([0.0, -speed]), q, constant_load)[-1]
+        return float(forward_torque - backward_torque)
 
     near_difference = max((difference(_NEAR_SPEED, tau_load) for tau_load in loads), key=abs)
     far_difference = max((difference(_FAR_SPEED, tau_load) for tau_load in loads), key=abs)

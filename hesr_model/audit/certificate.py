@@ -21,8 +21,9 @@ from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from math import inf
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import sympy
@@ -95,9 +96,14 @@ def certify(law: FrictionLaw, trained_range: TrainedRange) -> Certificate:
             trained_range.speed * SLOWEST_SPEED**2,
             0.0,
         )
-        speed_pairs = [(max(v, s), max(w, s)) for v, w in error.speed_pairs for s in slowest_speeds]
+        speed_pairs = [
+            (max(forward, slowest), max(backward, slowest))
+            for (forward, backward), slowest in product(error.speed_pairs, slowest_speeds)
+        ]
         cycle, sequences = attack(law, trained_range, speed_pairs)
-        verdict: ProofVerdict = "refuted" if cycle else "tested"
+        verdict: ProofVerdict = "tested"
+        if cycle:
+            verdict = "refuted"
         return Certificate(
             verdict=verdict, rests_on=(str(error),), cycle=cycle, sequences=sequences
         )
@@ -134,10 +140,9 @@ def find_scale_limits(law: FrictionLaw) -> list[tuple[float, float | None]]:
             _SteadyTorque(part).find_viscous_bound()
     except _UnprovenError:
         return [(1.0, 1.0)] * len(SCALES)
-    min_viscous_scale = min(
-        float(f"{proof.min_viscous_scale * (1.0 + 1e-5):.6g}"), 1.0
-    )  # rounded up
-    return [(0.0, None), (min_viscous_scale, None)]
+    # Six digits, rounded up: the printed limit must keep the proof as well.
+    rounded_scale = float(f"{proof.min_viscous_scale * (1.0 + 1e-5):.6g}")
+    return [(0.0, None), (min(rounded_scale, 1.0), None)]
 
 
 def find_storage_factors(law: FrictionLaw) -> Mapping[str, float]:
@@ -159,11 +164,10 @@ class _Proof:
         self.memory: tuple[Element, ...] = tuple(
             element.subs(self.values) for element in law.form.memory
         )
-        self.zero_states = {
-            symbol: sympy.S.Zero
-            for element in self.memory
-            for symbol in (element.state, element.derivative)
-        }
+        self.zero_states: dict[sympy.Symbol, sympy.Expr] = {}
+        for element in self.memory:
+            self.zero_states[element.state] = sympy.S.Zero
+            self.zero_states[element.derivative] = sympy.S.Zero
         self.output = law.form.output.xreplace(self.values)
         self.storage_factors: dict[str, float] = {}
         self.storage_terms: list[str] = []
@@ -183,30 +187,35 @@ class _Proof:
         _require(remainder == 0, "the torque is not linear in the states")
         terms = list(sympy.Add.make_args(sympy.expand_mul(stateless_torque)))
         load_terms = [term for term in terms if TAU_LOAD in term.free_symbols]
-        for term in load_terms:
-            is_braking = is_never_negative(term / sgn(DQ))
-            _require(is_braking, "the load is in the torque itself, not in a bound")
-            terms.remove(term)
-        if load_terms:
-            self.conditions.append("factors of friction that rises with the load are >= 0")
+        self._prove_load_terms(load_terms)
+        terms = [term for term in terms if TAU_LOAD not in term.free_symbols]
         wave_terms = [term for term in terms if Q in term.free_symbols]
-        self._prove_viscous(
-            sympy.Add(*(t for t in terms if Q not in t.free_symbols)), wave_terms, damping
-        )
+        speed_terms = [term for term in terms if Q not in term.free_symbols]
+        self._prove_viscous(sympy.Add(*speed_terms), wave_terms, damping)
+        storage = "S = 0"
+        if self.storage_terms:
+            storage = f"S = {' + '.join(self.storage_terms)}"
         return Certificate(
             verdict="proven",
-            storage=f"S = {' + '.join(self.storage_terms)}" if self.storage_terms else "S = 0",
+            storage=storage,
             rests_on=tuple(self.conditions),
             largest_step=self.largest_step,
         )
+
+    def _prove_load_terms(self, terms: Sequence[sympy.Expr]) -> None:
+        """Require that each term of the torque with the load brakes."""
+        for term in terms:
+            is_braking = is_never_negative(term / sgn(DQ))
+            _require(is_braking, "the load is in the torque itself, not in a bound")
+        if terms:
+            self.conditions.append("factors of friction that rises with the load are >= 0")
 
     def _prove_element(self, element: Element) -> float:
         """Return the requirement on f [N.m.s/rad]."""
         state = element.state
         reason = f"the factor of {state} depends on inputs or states"
-        _require(
-            not self._nonlinear_symbols & {state, element.derivative}, reason
-        )  # avoids slow derivatives
+        # Before derivatives, which are slow of functions.
+        _require(not self._nonlinear_symbols & {state, element.derivative}, reason)
         factor = self.output.diff(state)
         rate_factor = self.output.diff(element.derivative)
         if factor == 0 and rate_factor == 0:
@@ -225,7 +234,9 @@ class _Proof:
             storage_factor = self._prove_bristle(element, force)
         self.storage_factors[element.name] = storage_factor
         self.storage_terms.append(f"{storage_factor:.3g} {state}^2")
-        return 0.0 if damper == 0.0 else self._find_damper_requirement(element, damper)
+        if damper == 0.0:
+            return 0.0
+        return self._find_damper_requirement(element, damper)
 
     def _prove_bristle(self, element: Relaxation, force: float) -> float:
         state = element.state
@@ -299,38 +310,11 @@ class _Proof:
     def _prove_ripple(
         self, waves: list[sympy.Expr], curve: "_SteadyTorque", damping: float
     ) -> None:
-        amplitudes: dict[tuple[float, float, float, float], list[float]] = {}
+        amplitudes: dict[_WaveShape, list[float]] = {}
         for term in waves:
-            wave = next(iter(term.atoms(sympy.cos, sympy.sin)), None)
-            if wave is None or len(term.atoms(sympy.cos, sympy.sin)) != 1:
-                raise _UnprovenError("the torque of position is not a sum of waves")
-            argument = wave.args[0]
-            factor = term / wave
-            n = argument.diff(Q)
-            lag = -argument.subs({DT: 0, Q: 0}).diff(DQ)
-            is_linear = n.is_number and float(n) != 0.0 and (lag / n).is_number
-            _require(is_linear, "the argument of a wave is not linear in angle and speed")
-            window = -1.0  # longest step [s] without averaging
-            for mean in factor.atoms(cardinal_sine):
-                window = next((-float(f.args[0].subs(DT, 0)) for f in mean.atoms(positive)), 0.0)
-                factor = factor / mean
-            amplitude = factor
-            smoothing = 0.0
-            if not factor.is_number:
-                amplitude = factor.subs(DQ, 0)
-                smoothing_square = sympy.simplify((amplitude / factor - 1) / DQ**2)
-                is_smoothing = (
-                    amplitude.is_number and smoothing_square.is_number and smoothing_square >= 0
-                )
-                _require(is_smoothing, "the amplitude of a wave depends on more than smoothing")
-                smoothing = float(sympy.sqrt(smoothing_square)) / abs(float(n))
-            key = (abs(float(n)), float(lag / n), smoothing, window)
-            amplitudes.setdefault(key, []).append(float(amplitude))
-        groups = [
-            (float(np.hypot(a[0], a[1])) if len(a) == 2 else sum(map(abs, a)), *key)
-            for key, a in amplitudes.items()
-        ]
-        any_step = all(window >= 0.0 for *_, window in groups)
+            shape, amplitude = _read_wave(term)
+            amplitudes.setdefault(shape, []).append(amplitude)
+        groups = [(_combine_amplitudes(group), *shape) for shape, group in amplitudes.items()]
 
         def find_margin(step: float) -> float:
             return curve.find_share(
@@ -340,17 +324,72 @@ class _Proof:
         def fails(step: float) -> bool:
             return find_margin(step) < 1.0 - 1e-6
 
-        steps = np.array([inf]) if any_step else _STEP_CANDIDATES
+        steps = _STEP_CANDIDATES
+        if all(shape.window >= 0.0 for shape in amplitudes):
+            steps = np.array([inf])
         holding_count = bisect_left(steps, True, key=fails)  # longer steps need more
         _require(
             holding_count, "lagging ripple generates more energy than viscous friction dissipates"
         )
         step = float(steps[holding_count - 1])
         self.min_viscous_scale = 1.0 / find_margin(step)
-        self.largest_step = None if self.largest_step is None else min(self.largest_step, step)
+        if self.largest_step is not None:
+            self.largest_step = min(self.largest_step, step)
         self.conditions.append(
             "f(v) >= sum_k A_k min(n_k c, 2/|v|) at all speeds, of lag, sampling and smoothing"
         )
+
+
+class _WaveShape(NamedTuple):
+    """What waves that add up have in common; see `laws.ripple`.
+
+    Attributes
+    ----------
+    n : waves per turn.
+    lag : of the angle behind the position [s].
+    smoothing : time [s] over which speed lowers the amplitude.
+    window : longest step [s] without averaging; negative if nothing is averaged.
+    """
+
+    n: float
+    lag: float
+    smoothing: float
+    window: float
+
+
+def _read_wave(term: sympy.Expr) -> tuple[_WaveShape, float]:
+    """Return the shape and the amplitude [N.m] of a wave A sin(n q - n lag dq) or its cosine."""
+    wave_functions = term.atoms(sympy.cos, sympy.sin)
+    if len(wave_functions) != 1:
+        raise _UnprovenError("the torque of position is not a sum of waves")
+    (wave,) = wave_functions
+    argument = wave.args[0]
+    factor = term / wave
+    n = argument.diff(Q)
+    lag = -argument.subs({DT: 0, Q: 0}).diff(DQ)
+    is_linear = n.is_number and float(n) != 0.0 and (lag / n).is_number
+    _require(is_linear, "the argument of a wave is not linear in angle and speed")
+    window = -1.0
+    for mean in factor.atoms(cardinal_sine):
+        window = next((-float(f.args[0].subs(DT, 0)) for f in mean.atoms(positive)), 0.0)
+        factor = factor / mean
+    amplitude = factor
+    smoothing = 0.0
+    if not factor.is_number:
+        # It falls as 1 / (1 + (n smoothing dq)^2).
+        amplitude = factor.subs(DQ, 0)
+        smoothing_square = sympy.simplify((amplitude / factor - 1) / DQ**2)
+        is_smoothing = amplitude.is_number and smoothing_square.is_number and smoothing_square >= 0
+        _require(is_smoothing, "the amplitude of a wave depends on more than smoothing")
+        smoothing = float(sympy.sqrt(smoothing_square)) / abs(float(n))
+    return _WaveShape(abs(float(n)), float(lag / n), smoothing, window), float(amplitude)
+
+
+def _combine_amplitudes(amplitudes: Sequence[float]) -> float:
+    """Return a bound of the amplitude of a sum of waves; a pair is a cosine and a sine."""
+    if len(amplitudes) == 2:
+        return float(np.hypot(amplitudes[0], amplitudes[1]))
+    return sum(map(abs, amplitudes))
 
 
 class _SteadyTorque:
@@ -361,10 +400,10 @@ class _SteadyTorque:
         linear = [t for t in terms if t.as_powers_dict().get(DQ, 0) >= 1]
         self.p = sympy.Add(*(t / DQ for t in linear))
         self.constant, self.r = sympy.Add(*(t for t in terms if t not in linear)).as_coeff_Add()
+        # At a speed of 1 rad/s either way.
         directions = np.array(_DIRECTIONS)
-        size = max(
-            float(np.max(np.abs(bound_expression(torque, {DQ: (directions, directions)})))), 1e-12
-        )
+        torque_bounds = bound_expression(torque, {DQ: (directions, directions)})
+        size = max(float(np.max(np.abs(torque_bounds))), 1e-12)
         unbounded = "the torque of steady motion has no sufficient bound at all speeds"
         _require(size < inf, unbounded)
         self.slack = _RELATIVE_ROUND_OFF * size
@@ -382,13 +421,12 @@ class _SteadyTorque:
             (forward_speed, backward_speed),
         )
         _require(forward_minimum.bound + backward_minimum.bound >= -self.slack, unbounded)
+        # The offset must lie between both directions, or round-off looks like negative friction.
+        lower = -backward_minimum.bound
+        upper = forward_minimum.bound
         self.offset = float(torque.subs(DQ, 0))
-        if (
-            not -backward_minimum.bound - self.slack
-            <= self.offset
-            <= forward_minimum.bound + self.slack
-        ):
-            self.offset = min(max(self.offset, -backward_minimum.bound), forward_minimum.bound)
+        if not lower - self.slack <= self.offset <= upper + self.slack:
+            self.offset = min(max(self.offset, lower), upper)
 
     def find_viscous_bound(self) -> float:
         """Return a lower bound >= 0 of f [N.m.s/rad]."""
@@ -400,7 +438,9 @@ class _SteadyTorque:
             f"viscous friction is negative, {lowest_viscous:.3g} N.m.s/rad",
         )
         _require(bound >= -self.slack, "viscous friction has no bound >= 0 at all speeds")
-        return bound if bound > self.slack else 0.0
+        if bound <= self.slack:
+            return 0.0
+        return bound
 
     def find_share(self, required_viscosity: Callable[[Array], Array]) -> float:
         """Return a lower bound of f / `required_viscosity`, which must not rise with speed."""
@@ -423,12 +463,17 @@ class _SteadyTorque:
         self, function: Callable[[Array, Array, Array, Array], Array]
     ) -> list[Minimum]:
         def bound_interval(direction: float, a: Array, b: Array) -> Array:
-            lower, upper = bound_expression(self.r, {DQ: _build_speed_interval(direction, a, b)})
-            p = bound_expression(self.p, {DQ: _build_speed_interval(direction, a, b)})[0]
+            speeds = _build_speed_interval(direction, a, b)
+            lower, upper = bound_expression(self.r, {DQ: speeds})
+            p = bound_expression(self.p, {DQ: speeds})[0]
+            r = lower
+            if direction < 0.0:
+                r = -upper
             constant = direction * float(self.constant - self.offset)
-            r = (lower if direction > 0.0 else -upper) + constant * (
-                abs(constant) > 1e-3 * self.slack
-            )
+            # Round-off of the offset, over a tiny speed, would be much viscous friction.
+            if abs(constant) <= 1e-3 * self.slack:
+                constant = 0.0
+            r = r + constant
             with np.errstate(all="ignore"):
                 return function(*np.broadcast_arrays(r, p, a, b))
 
@@ -439,29 +484,41 @@ class _SteadyTorque:
 
 
 def _build_speed_interval(direction: float, a: Array, b: Array) -> Enclosure:
-    return (a, b) if direction > 0.0 else (-b, -a)
+    """Return speeds from `a` to `b` > 0 in a direction, in ascending order."""
+    if direction > 0.0:
+        return a, b
+    return -b, -a
 
 
 def _find_lower_bound(expression: sympy.Expr, sufficient_bound: float = inf) -> float:
-    def bound_interval(direction: float, a: Array, b: Array) -> Array:
-        return np.broadcast_to(
-            bound_expression(expression, {DQ: _build_speed_interval(direction, a, b)})[0], a.shape
-        )
+    """Return a lower bound of a function of speed over all speeds, up to a sufficient one."""
 
-    return min(
-        find_minimum(
+    def bound_interval(direction: float, a: Array, b: Array) -> Array:
+        speeds = _build_speed_interval(direction, a, b)
+        lower, _ = bound_expression(expression, {DQ: speeds})
+        return np.broadcast_to(lower, a.shape)
+
+    bounds = []
+    for direction in _DIRECTIONS:
+        minimum = find_minimum(
             partial(bound_interval, direction), _SPEED_EDGES, sufficient_bound=sufficient_bound
-        ).bound
-        for direction in _DIRECTIONS
-    )
+        )
+        bounds.append(minimum.bound)
+    return min(bounds)
 
 
 def _compute_required_viscosity(
     groups: Sequence[tuple[float, ...]], step: float, speeds: Array
 ) -> Array:
+    """Return the viscous friction (K,) that waves need at speeds > 0, sampled by a step [s].
+
+    Each of the `groups` is an amplitude [N.m] and a `_WaveShape`.
+    """
     requirement = np.zeros_like(speeds)
     for amplitude, n, lag, smoothing, window in groups:
-        c = distance(lag, window if window >= 0.0 else step)
+        # What is averaged over its own window does not see the step.
+        sampling = window if window >= 0.0 else step
+        c = distance(lag, sampling)
         requirement += amplitude * np.minimum(n * c, 2.0 / speeds)
         requirement += amplitude * np.minimum(n * smoothing / 2.0, 1.0 / speeds)
     return requirement
