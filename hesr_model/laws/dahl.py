@@ -49,26 +49,35 @@ class DahlBasis(OneForm):
     def core(cls, structure: Mapping[str, Any]) -> LawForm:
         """Return the expressions."""
         no_structure(cls.name, structure)
-        elements = tuple(
-            Relaxation(
+        elements = []
+        torque = sympy.Integer(0)
+        for i, kappa, force, rise in zip(_ELEMENTS, _KAPPA, _FORCE, _LOAD, strict=True):
+            element = Relaxation(
                 name=f"x{i}", unit="1", drive=kappa.symbol * DQ, rate=kappa.symbol * absolute(DQ)
             )
-            for i, kappa in zip(_ELEMENTS, _KAPPA, strict=True)
-        )
-        load = absolute(TAU_LOAD) if cls.load else 0
-        factors = [
-            force.symbol + rise.symbol * load for force, rise in zip(_FORCE, _LOAD, strict=True)
-        ]
-        torque = sum(factor * x.state for factor, x in zip(factors, elements, strict=True))
+            elements.append(element)
+            sliding_friction = force.symbol
+            if cls.load:
+                sliding_friction += rise.symbol * absolute(TAU_LOAD)
+            torque += sliding_friction * element.state
         return LawForm(
-            coefficients=(*_KAPPA, *_FORCE, *(_LOAD if cls.load else ()), SIGMA_2, TAU_0),
-            memory=elements,
+            coefficients=(*_KAPPA, *cls._linear_coefficients()),
+            memory=tuple(elements),
             output=torque + SIGMA_2.symbol * DQ + TAU_0.symbol,
         )
 
+    @classmethod
+    def _linear_coefficients(cls) -> tuple[Coefficient, ...]:
+        """Return the coefficients in which the torque is linear, those of elements first."""
+        if cls.load:
+            return (*_FORCE, *_LOAD, SIGMA_2, TAU_0)
+        return (*_FORCE, SIGMA_2, TAU_0)
+
     def space(self) -> SearchSpace:
         """Solve for all coefficients; F_i, mu_i >= 0, since elements must not drive."""
-        linear = (*_FORCE, *(_LOAD if self.load else ()), SIGMA_2, TAU_0)
+        linear = self._linear_coefficients()
+        element_count = len(linear) - len((SIGMA_2, TAU_0))
+        non_negative = 0 if self.relaxed else element_count
         return SearchSpace(
             bounds=(),
             linear=tuple(quantity.name for quantity in linear),
@@ -76,7 +85,7 @@ class DahlBasis(OneForm):
                 (kappa.name, sympy.Float(1.0 / deflection))
                 for kappa, deflection in zip(_KAPPA, DEFLECTIONS, strict=True)
             ),
-            non_negative=0 if self.relaxed else len(linear) - 2,
+            non_negative=non_negative,
         )
 
 

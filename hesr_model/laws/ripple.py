@@ -39,6 +39,14 @@ _NEAR_LAG = 2e-3
 _ATTEMPTS = 3
 
 
+def name_waves(orders: Sequence[int]) -> tuple[str, ...]:
+    """Return the names of the amplitudes of a cosine and a sine of each order."""
+    names: list[str] = []
+    for order in orders:
+        names += [f"ripple{order}_cos", f"ripple{order}_sin"]
+    return tuple(names)
+
+
 def describe_wave(order: int, wave: sympy.FunctionClass) -> str:
     """Return the description of the amplitude of a cosine or sine of the motor's angle."""
     name = "cosine" if wave is sympy.cos else "sine"
@@ -67,7 +75,7 @@ class Ripple:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the amplitudes."""
-        return tuple(f"ripple{k}_{part}" for k in self.orders for part in ("cos", "sin"))
+        return name_waves(self.orders)
 
     def extend(self, form: LawForm) -> LawForm:
         """Return a form with the ripple added to its output."""
@@ -98,7 +106,9 @@ class Ripple:
         angle = self.gear_ratio * (rows.q - lag * rows.dq)
         fast = self.gear_ratio * smoothing * rows.dq
         waves = {k: wave / (1.0 + (k * fast) ** 2) for k, wave in _yield_powers(angle, self.orders)}
-        parts = [part for k in self.orders for part in (waves[k].real, waves[k].imag)]
+        parts: list[Array] = []
+        for k in self.orders:
+            parts += [waves[k].real, waves[k].imag]
         return np.stack(parts, axis=1)
 
 
@@ -131,14 +141,13 @@ def select(
 
     while len(chosen_ripple.orders) < MAX_ORDERS:
         residual = tau - columns @ least_squares(columns, tau)
-        near_times = (
-            [t for t in _TIMES if abs(t[0] - times[0]) < _NEAR_LAG]
-            if chosen_ripple.orders
-            else _TIMES
-        )
-        ranked = _rank_orders(
-            rows, residual, chosen_ripple, [times] if chosen_ripple.orders else _TIMES
-        )
+        # The first order decides lag and smoothing; further ones only correct them.
+        ranked_times = _TIMES
+        near_times = _TIMES
+        if chosen_ripple.orders:
+            ranked_times = [times]
+            near_times = [t for t in _TIMES if abs(t[0] - times[0]) < _NEAR_LAG]
+        ranked = _rank_orders(rows, residual, chosen_ripple, ranked_times)
         for order, trial_times in ranked[:_ATTEMPTS]:
             extended = replace(chosen_ripple, orders=(*chosen_ripple.orders, order))
             if cross_validate(extended, trial_times) < (1.0 - gain) * cost:
@@ -149,7 +158,9 @@ def select(
         times = min(near_times, key=lambda at: cross_validate(chosen_ripple, at))
         cost = cross_validate(chosen_ripple, times)
         columns = np.hstack([base, chosen_ripple.columns(rows, times)])
-    return (chosen_ripple, times) if chosen_ripple.orders else None
+    if not chosen_ripple.orders:
+        return None
+    return chosen_ripple, times
 
 
 def _rank_orders(
@@ -170,9 +181,11 @@ def _rank_orders(
             for i, smoothing in enumerate(smoothings):
                 if (lag, smoothing) not in candidates:
                     continue
-                weight_sum, (c, s), moment = squared[i].sum(), doubled[i], moments[i]
+                weight_sum = squared[i].sum()
+                c, s = doubled[i]
+                # cos^2 = (1 + cos 2x) / 2, sin cos = sin 2x / 2; regular also without any motion.
                 gram = 0.5 * np.array([[weight_sum + c, s], [s, weight_sum - c]]) + 1e-9 * np.eye(2)
-                share = float(moment @ np.linalg.solve(gram, moment))
+                share = float(moments[i] @ np.linalg.solve(gram, moments[i]))
                 explained.append((share, order, (lag, smoothing)))
     explained.sort(reverse=True)
     return [(order, times) for _, order, times in explained]

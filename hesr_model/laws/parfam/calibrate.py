@@ -52,14 +52,15 @@ def select_distinct(cells: list[Cell], count: int) -> list[Cell]:
     """Return the best `count` cells that are local minima first, then the next best."""
     from scipy.ndimage import minimum_filter  # slow to import
 
-    costs = {(cell.alpha, cell.beta): cell.cost for cell in cells}
-    alphas, betas = (sorted(set(coordinates)) for coordinates in zip(*costs, strict=True))
-    cost = np.array([[costs[a, b] for b in betas] for a in alphas])
-    lowest = minimum_filter(cost, size=3, mode="nearest")
-    minima = {(alphas[i], betas[j]) for i, j in np.argwhere(cost <= lowest)}
-    return sorted(cells, key=lambda cell: ((cell.alpha, cell.beta) not in minima, cell.cost))[
-        :count
-    ]
+    alphas = sorted({cell.alpha for cell in cells})
+    betas = sorted({cell.beta for cell in cells})
+    costs = np.zeros((len(alphas), len(betas)))
+    for cell in cells:
+        costs[alphas.index(cell.alpha), betas.index(cell.beta)] = cell.cost
+    lowest = minimum_filter(costs, size=3, mode="nearest")
+    minima = {(alphas[i], betas[j]) for i, j in np.argwhere(costs <= lowest)}
+    ranked = sorted(cells, key=lambda cell: ((cell.alpha, cell.beta) not in minima, cell.cost))
+    return ranked[:count]
 
 
 def estimate_from_loop(features: HysteresisFeatures) -> tuple[float, float]:
@@ -73,9 +74,13 @@ def estimate_from_loop(features: HysteresisFeatures) -> tuple[float, float]:
     level = 0.5 * float(np.quantile(rows.tau, 0.9) - np.quantile(rows.tau, 0.1))
     courses = _extract_courses(features)
     slopes = [slope for _, slope in courses if slope is not None]
-    slope = float(np.median(slopes)) if slopes else 0.0
+    slope = 0.0
+    if slopes:
+        slope = float(np.median(slopes))
     alpha = _settling_rate(features, [course for course, _ in courses])
-    beta = slope / level if level > 0.0 else beta_low
+    beta = beta_low
+    if level > 0.0:
+        beta = slope / level
     alpha = np.clip(alpha, alpha_low, 0.9 * alpha_high)
     return float(alpha), float(np.clip(beta, beta_low, beta_high))
 
@@ -95,7 +100,8 @@ def _extract_courses(features: HysteresisFeatures) -> list[tuple[Array, float | 
         if len(crossing):
             i = k + 1 + int(crossing[0])
             step = rows.dq[i] - rows.dq[i - 1]
-            slope = abs(float((tau[i] - tau[i - 1]) / step)) if step else None
+            if step:
+                slope = abs(float((tau[i] - tau[i - 1]) / step))
         courses.append((after, slope))
     return courses
 
@@ -115,11 +121,15 @@ def _settling_rate(features: HysteresisFeatures, courses: list[Array]) -> float:
     deviation = np.abs(mean - mean[-(len(mean) // 10) :].mean())
     start = int(np.argmax(deviation[: len(mean) // 4 + 1]))
     area = float(deviation[start:].sum() * np.median(rows.dt[~rows.begins]))
-    return float(deviation[start]) / area if area > 0.0 else 0.0
+    if area > 0.0:
+        return float(deviation[start]) / area
+    return 0.0
 
 
 def _cubic_features(features: Array) -> Array:
     """Return (N, 20) monomials of degree <= 3 of the standardised features."""
     x = features[:, 1:] / np.maximum(features[:, 1:].std(axis=0), 1e-12)
-    powers = [p for degree in (1, 2, 3) for p in combinations_with_replacement(x.T, degree)]
-    return np.stack([np.ones(len(x)), *map(prod, powers)], axis=1)
+    monomials = [np.ones(len(x))]
+    for degree in (1, 2, 3):
+        monomials += map(prod, combinations_with_replacement(x.T, degree))
+    return np.stack(monomials, axis=1)

@@ -48,10 +48,12 @@ class Candidate:
             theta[0] -= half_turns * np.pi
             gain *= (-1.0) ** half_turns
         if self.g in ("tanh", "sin") and gain < 0.0:
-            gain, theta = -gain, -theta
+            gain = -gain
+            theta = -theta
         if self.g == "cos" and self.theta_active[0]:
             if gain < 0.0:
-                gain, theta[0] = -gain, theta[0] + np.pi
+                gain = -gain
+                theta[0] += np.pi
             theta[0] = np.pi - (np.pi - theta[0]) % (2.0 * np.pi)
         return replace(self, theta=theta, gain=float(gain))
 
@@ -66,7 +68,9 @@ class Candidate:
         """Return the candidate as a friction law."""
         linear = [*compress(family.FEATURES, self.c_active)]
         arguments = [*compress(family.FEATURES, self.theta_active)]
-        units = [] if self.g is None else [{"g": self.g, "arguments": arguments}]
+        units = []
+        if self.g is not None:
+            units.append({"g": self.g, "arguments": arguments})
         structure = {"linear": linear, "units": units}
         values: dict[str, float] = {}
         for x, c, theta in zip(family.FEATURES, self.c, self.theta, strict=True):

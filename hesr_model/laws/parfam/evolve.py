@@ -95,14 +95,19 @@ def starting_points(rng: np.random.Generator, count: int, features: int) -> Arra
 
 
 def _candidate(cell: Cell, g: str | None, features: Array, tau: Array, theta: Array) -> Candidate:
-    unit = [UNIT_FUNCTIONS[g][0](features @ theta)] if g else []
-    columns = np.column_stack([features, *unit])
+    parts = [features]
+    if g:
+        parts.append(UNIT_FUNCTIONS[g][0](features @ theta))
+    columns = np.column_stack(parts)
     solution = least_squares(columns, tau)
     cost = float(np.mean((tau - columns @ solution) ** 2))
-    gain = float(solution[4]) if g else 0.0
+    gain = 0.0
+    if g:
+        gain = float(solution[4])
     arguments = np.full(4, bool(g))
     if g == "exp":  # the gain has its offset
-        gain, theta = gain * float(np.exp(theta[0])), theta * [0.0, 1.0, 1.0, 1.0]
+        gain *= float(np.exp(theta[0]))
+        theta = theta * [0.0, 1.0, 1.0, 1.0]
         arguments[0] = False
     return Candidate(
         g=g,
@@ -125,9 +130,9 @@ class _ProjectedProblem:
         self.x = x
         self.limit = limit
         self.q = np.linalg.qr(linear)[0]
-        self._squares, self._spanned = (
-            np.einsum("ml,mi->lim", columns, x).reshape(-1, len(x)) for columns in (x, self.q)
-        )
+        # Of each row: products of two features, and of a feature and a linear direction.
+        self._squares = np.einsum("ml,mi->lim", x, x).reshape(-1, len(x))
+        self._spanned = np.einsum("ml,mi->lim", self.q, x).reshape(-1, len(x))
         self.y = self._reject(tau[:, None])
 
     def _reject(self, columns: Array) -> Array:
@@ -160,7 +165,9 @@ class _ProjectedProblem:
                 cost = np.where(is_better, trial_cost, cost)
                 damping = np.clip(np.where(is_better, damping / 5.0, damping * 4.0), 1e-10, 1e8)
             best = np.argsort(cost)[: int(np.ceil(share * len(cost)))]
-            theta, cost, damping = theta[:, best], cost[best], damping[best]
+            theta = theta[:, best]
+            cost = cost[best]
+            damping = damping[best]
         return theta, cost
 
     def _step(self, theta: Array, damping: Array) -> Array:

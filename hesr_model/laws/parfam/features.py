@@ -31,17 +31,20 @@ def _kernel(g: str | None, discretisation: Discretisation) -> Kernel:
     lag = target - h.state
     rise = DQ * (1 - target**2)
     z = alpha * DT
-    start_factor = 1 / (1 - z) if discretisation == "euler" else over(z, 1 - sympy.exp(-z), 1)
+    start_factor = over(z, 1 - sympy.exp(-z), 1)
+    if discretisation == "euler":
+        start_factor = 1 / (1 - z)
     by_alpha = Slow(name="h_alpha", unit="s", drive=lag * start_factor, rate=alpha)
     by_beta = Relaxation(name="h_beta", unit="rad/s", drive=alpha * rise, rate=alpha)
     x = (sympy.S.One, DQ, h.state, alpha * lag)
     inner = sympy.Add(*(t * expression for t, expression in zip(theta, x, strict=True)))
     if g == "exp":
         inner = -larger(-inner, -LARGEST_EXPONENT)
-    unit = FUNCTIONS[g](argument) if g else sympy.S.Zero
-    value, slope = (
-        expression.xreplace({argument: inner}) for expression in (unit, gain * unit.diff(argument))
-    )
+    unit = sympy.S.Zero
+    if g:
+        unit = FUNCTIONS[g](argument)
+    value = unit.xreplace({argument: inner})
+    slope = (gain * unit.diff(argument)).xreplace({argument: inner})
     of_h, of_dh = (a + slope * t for a, t in zip(c[2:], theta[2:], strict=True))
     a = by_alpha.state
     b = by_beta.state
@@ -70,7 +73,9 @@ class HysteresisFeatures:
         """Return the (N, 4) features 1, dq [rad/s], h [1], dh [1/s]."""
         rows = self.rows
         z = alpha * self.rows.dt
-        a = np.exp(-z) if self.discretisation == "exact" else 1.0 - z
+        a = 1.0 - z
+        if self.discretisation == "exact":
+            a = np.exp(-z)
         target = np.tanh(beta * rows.dq)
         h = rows.recurrence(a, (1.0 - a) * target, target)  # h+ = a h + (1 - a) tanh(beta dq)
         columns = np.empty((len(h), 4), order="F")

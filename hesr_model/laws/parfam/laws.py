@@ -77,9 +77,12 @@ class ParFamH(Estimator):
         """Run the three stages, with starts and hops drawn from `rng`."""
         rows = JointRows.from_records(records, coefficients=COEFFICIENTS)
         features = HysteresisFeatures(rows=rows, discretisation=self.discretisation)
-        search = self._search_like_paper if self.search == "paper" else self._evolve
         trained_range = TrainedRange.from_records(records)
-        chosen = refine.select(features, search(features, rng), rows.folds, trained_range)
+        if self.search == "paper":
+            candidates = self._search_like_paper(features, rng)
+        else:
+            candidates = self._evolve(features, rng)
+        chosen = refine.select(features, candidates, rows.folds, trained_range)
         law = chosen.to_canonical().law(self.name, self.discretisation)
         return self._enlarge_law(law, features, trained_range, rng)
 
@@ -105,7 +108,9 @@ class ParFamH(Estimator):
                 {**best.structure, "denominator": list(family.DIVISORS)}, {}
             )
             best = extend_trial(best, [rational], trained_range)
-        return law if best.structure == law.structure else replace(best.law(), name=self.name)
+        if best.structure == law.structure:
+            return law
+        return replace(best.law(), name=self.name)
 
     def _evolve(self, features: HysteresisFeatures, rng: np.random.Generator) -> list[Candidate]:
         tau = features.rows.tau
@@ -121,11 +126,10 @@ class ParFamH(Estimator):
                 starts = evolve.starting_points(rng, self.starts, 4)
                 candidates += evolve.search(cell, g, columns, tau[searched_rows], starts, keep=3)
         candidates.sort(key=lambda candidate: candidate.cost)
-        groups = (
-            [candidate for candidate in candidates if candidate.g == g]
-            for g in (None, *self.functions)
-        )
-        shortlist = [candidate for group in groups for candidate in group[: self.candidates]]
+        shortlist: list[Candidate] = []
+        for function in (None, *self.functions):
+            group = [candidate for candidate in candidates if candidate.g == function]
+            shortlist += group[: self.candidates]
         aliases: list[Candidate] = []
         for candidate in shortlist:
             columns = features.columns(candidate.alpha, candidate.beta)[searched_rows]
@@ -176,9 +180,10 @@ class ParFamV(DeclarativeEstimator):
             structure = {"linear": list(FEATURES), "units": [{"g": g, "arguments": list(FEATURES)}]}
             problem = Separable(family.form(structure), _space(rows), rows)
             starts = evolve.starting_points(rng, 2 * self.starts, 2)
+            limit = evolve.ARGUMENT_LIMIT
             if g == "tanh":
                 starts[self.starts :, 1] *= np.geomspace(2.0, MAX_STEEPNESS, self.starts)
-            limit = MAX_STEEPNESS if g == "tanh" else evolve.ARGUMENT_LIMIT
+                limit = MAX_STEEPNESS
             features = x[searched_rows]
             tau = rows.tau[searched_rows]
             for theta in evolve.search_arguments(
@@ -240,7 +245,12 @@ class ParFamHX(DeclarativeEstimator):
         starts: int = 24,
     ) -> None:
         self.memory = memory
-        self.linear = (*family.FEATURES, *["h_load"] * load, *["h_bump"] * bump)
+        linear = list(family.FEATURES)
+        if load:
+            linear.append("h_load")
+        if bump:
+            linear.append("h_bump")
+        self.linear = tuple(linear)
         self.functions = tuple(functions)
         self.ripple = ripple  # type: ignore[misc] # an option of this law, a constant in others
         self.start_samples = 5 if initial_state else 0  # type: ignore[misc] # likewise

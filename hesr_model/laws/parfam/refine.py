@@ -45,27 +45,14 @@ def select(
             step(round(1000 * (1.0 + share)), 2000)
             refined.append(Refinement(features, candidate).run(evaluations))
         shortlist = select_distinct(refined)[:keep]
-    best = shortlist[0].cost
-    hopeful = [candidate for candidate in shortlist if candidate.cost <= HOPEFUL_RATIO * best]
+    limit = HOPEFUL_RATIO * shortlist[0].cost
+    hopeful = [candidate for candidate in shortlist if candidate.cost <= limit]
+    others = [candidate for candidate in shortlist if candidate.cost > limit]
+    linear = [candidate for candidate in candidates if candidate.g is None]
+    best_linear = sorted(linear, key=lambda candidate: candidate.cost)[:1]
     # If all explode, try the others, then the linear law.
-    linear = sorted(
-        (candidate for candidate in candidates if candidate.g is None),
-        key=lambda candidate: candidate.cost,
-    )[:1]
-    for group in (
-        hopeful,
-        [candidate for candidate in shortlist if candidate.cost > HOPEFUL_RATIO * best],
-        linear,
-    ):
-        pruned = sorted(
-            select_distinct([prune(features, candidate) for candidate in group]), key=_count_terms
-        )
-        laws = (candidate.law("candidate", features.discretisation) for candidate in pruned)
-        finalists = [
-            candidate
-            for candidate, law in zip(pruned, laws, strict=True)
-            if not explodes(law, trained_range)
-        ]
+    for group in (hopeful, others, best_linear):
+        finalists = _prune_group(features, group, trained_range)
         if finalists:
             costs = [
                 left_out_cost(features, candidate, folds, portions=PORTIONS)
@@ -73,6 +60,20 @@ def select(
             ]
             return finalists[find_first_best(costs, TIE_TOLERANCE)]
     raise FitError("every ParFam candidate explodes just outside the trained speeds.")
+
+
+def _prune_group(
+    features: HysteresisFeatures, group: Sequence[Candidate], trained_range: TrainedRange
+) -> list[Candidate]:
+    """Return pruned candidates that do not explode, those with the fewest terms first."""
+    pruned = select_distinct([prune(features, candidate) for candidate in group])
+    pruned.sort(key=_count_terms)
+    stable = []
+    for candidate in pruned:
+        law = candidate.law("candidate", features.discretisation)
+        if not explodes(law, trained_range):
+            stable.append(candidate)
+    return stable
 
 
 def select_distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -173,7 +174,9 @@ class Refinement:
         self.features = features
         self.start = start
         self.rows = rows
-        self.weights = rows.astype(float) if isinstance(rows, np.ndarray) else None
+        self.weights: Array | None = None
+        if isinstance(rows, np.ndarray):
+            self.weights = rows.astype(float)
         self.count = len(features.rows.tau[rows])
         (a_low, a_high), (b_low, b_high) = bounds(features)
         self.low = np.log([a_low, b_low])
@@ -230,7 +233,9 @@ class Refinement:
         numbers, factors = self._unpack_numbers(point)
         self._slopes_run.begin(numbers)
         products = self._slopes_run.multiply(numbers, self.weights)[:-1, :-1]
-        is_used, factors = np.r_[self.active, True], np.r_[factors, 1.0]
+        # The residual, last, is no unknown.
+        is_used = np.r_[self.active, True]
+        factors = np.r_[factors, 1.0]
         gram = (products * np.outer(factors, factors))[np.ix_(is_used, is_used)]
         if not np.isfinite(gram).all():  # refused as a step
             return np.full_like(gram, np.inf)

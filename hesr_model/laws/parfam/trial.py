@@ -86,9 +86,9 @@ def add_unit(
 
 def choose(trials: Sequence[Trial], gain: float) -> Trial:
     """Return the trial that predicts left-out rows best; all but the first must gain `gain`."""
-    costs = [
-        cross_validate(trial) * (1.0 if i == 0 else 1.0 + gain) for i, trial in enumerate(trials)
-    ]
+    first, *others = trials
+    costs = [cross_validate(first)]
+    costs += [cross_validate(trial) * (1.0 + gain) for trial in others]
     return trials[find_first_best(costs)]
 
 

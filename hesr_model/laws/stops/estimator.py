@@ -73,8 +73,9 @@ class _Problem:
     weights: Array
 
     def columns(self, chosen: Waves) -> Array:
-        wave_columns = waves(chosen.frequencies, chosen.lag, self.rows)
-        return np.hstack([self.base, wave_columns]) if chosen.frequencies else self.base
+        if not chosen.frequencies:
+            return self.base
+        return np.hstack([self.base, waves(chosen.frequencies, chosen.lag, self.rows)])
 
     def cross_validate(self, chosen: Waves) -> Array:
         rows = self.rows
@@ -111,8 +112,11 @@ def _add_best_wave(problem: _Problem, chosen: Waves, gear_ratio: float) -> Waves
     orders = [order for order in ORDERS if order not in chosen_orders]
     if not orders:
         return None
+    lags = LAGS
+    if chosen_orders:
+        lags = np.array([chosen.lag])
     fits = {}
-    for lag in [chosen.lag] if chosen_orders else LAGS:
+    for lag in lags:
         rotation = np.exp(1j * gear_ratio * (rows.q - lag * rows.dq))
         power = residual.astype(complex)
         for order in ORDERS:
@@ -152,24 +156,24 @@ class _StopsEstimator(Estimator):
         """Solve for all forces with sign constraints; `rng` is not used."""
         del rng
         rows = JointRows.from_records(records, coefficients=20)
-        scales = range(len(DEFLECTION_SCALES) if rows.sliding else 1)
+        scales = range(1)
+        if rows.sliding:
+            scales = range(len(DEFLECTION_SCALES))
         trials = [build_dictionary(rows, load=self.load, scale=scale) for scale in scales]
         if not self.skeleton_only:
             trials = [search(terms, load=self.load) for terms in trials]
         best_terms = trials[find_first_best([terms.cost for terms in trials])]
         structure, columns = best_terms.select_active()
         structure = replace(structure, limited=self.load)
-        lag = 0.0
+        chosen = Waves(frequencies=(), lag=0.0)
         if self.ripple and rows.gear_ratio is not None:
             chosen = select_waves(columns, rows, best_terms.weights, rows.gear_ratio)
-            if chosen.frequencies:
-                window = WINDOW_SAMPLES * float(np.median(rows.dt[~rows.begins]))
-                lag = chosen.lag
-                structure = replace(
-                    structure, ripple=chosen.frequencies, window=float(f"{window:.3g}")
-                )
-                columns = np.hstack([columns, waves(chosen.frequencies, lag, rows)])
-        return self._law(best_terms, structure, columns, lag)
+        if not chosen.frequencies:
+            return self._law(best_terms, structure, columns, 0.0)
+        window = WINDOW_SAMPLES * float(np.median(rows.dt[~rows.begins]))
+        structure = replace(structure, ripple=chosen.frequencies, window=float(f"{window:.3g}"))
+        columns = np.hstack([columns, waves(chosen.frequencies, chosen.lag, rows)])
+        return self._law(best_terms, structure, columns, chosen.lag)
 
     def _law(self, terms: Terms, structure: Structure, columns: Array, lag: float) -> FrictionLaw:
         rows = terms.rows
@@ -189,7 +193,9 @@ class _StopsEstimator(Estimator):
                 forms.compute_required_viscosity(structure.ripple, lag, structure.window),
                 free=free,
             )
-        values = {**terms.numbers, LAG.name: lag, **dict(zip(names, map(float, x), strict=True))}
+        values = {**terms.numbers, LAG.name: lag}
+        for name, coefficient in zip(names, x, strict=True):
+            values[name] = float(coefficient)
         return FrictionLaw(
             name=self.name,
             structure=to_json(structure),

@@ -10,7 +10,7 @@ f(v) >= sum_k A_k min(n_k c, 2 / |v|), where c is the mean time between the angl
 that at the end of a step (derivation: `docs/methods.md`, *Ripple*).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any, Self
@@ -31,7 +31,7 @@ from hesr_model.equations.memory import DT, Element, Relaxation, Stop
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, LawForm
-from hesr_model.laws.ripple import LAG, describe_wave
+from hesr_model.laws.ripple import LAG, describe_wave, name_waves
 from hesr_model.laws.stribeck import SIGMA_2, TAU_0, V_S
 from hesr_model.support.arrays import Array
 
@@ -143,51 +143,73 @@ class Structure:
     @property
     def waves(self) -> tuple[str, ...]:
         """Names of the ripple amplitudes."""
-        return tuple(f"ripple{n}_{part}" for n in self.ripple for part in ("cos", "sin"))
+        return name_waves(self.ripple)
 
     def form(self) -> LawForm:
         """Return the expressions."""
-        load_limit = _LIMITED if self.limited else {}
+        stops = [self._build_stop(kind, node) for kind, node in self.stops]
         terms: list[tuple[Coefficient, sympy.Expr]] = []
-        stops: list[Element] = []
-        for kind, node in self.stops:
-            name = name_force(kind, node)
-            x = Stop(
-                name=name.replace("F", "x", 1),
-                unit="1",
-                velocity=DQ,
-                deflection=float(f"{WIDTHS[node]:.4g}"),
-                bound=BOUNDS[kind].xreplace(load_limit),
-            )
-            stops.append(x)
-            terms.append((_torque(name, _describe_stop(kind, x.deflection)), x.state))
-        terms += [
-            (coefficient, DQ * factor)
-            for coefficient, factor in (_VISCOUS[kind] for kind in self.viscous)
-        ]
-        # The mean over the part of a step beyond `window` certifies any step.
-        beyond = positive(DT - sympy.Float(self.window))
-        angle = Q - (LAG.symbol + beyond / 2) * DQ
-        waves = product(self.ripple, (sympy.cos, sympy.sin))
-        for name, (n, wave) in zip(self.waves, waves, strict=True):
-            mean = cardinal_sine(n * DQ * beyond / 2)
-            terms.append((_torque(name, describe_wave(n, wave)), wave(n * angle) * mean))
+        for (kind, node), stop in zip(self.stops, stops, strict=True):
+            description = _describe_stop(kind, stop.deflection)
+            terms.append((_torque(name_force(kind, node), description), stop.state))
+        for kind in self.viscous:
+            coefficient, factor = _VISCOUS[kind]
+            terms.append((coefficient, DQ * factor))
+        terms += self._build_wave_terms()
+        output = TAU_0.symbol
+        for coefficient, factor in terms:
+            output += coefficient.symbol * factor
         bound_symbols = set().union(*(BOUNDS[kind].free_symbols for kind, _ in self.stops))
+        memory: list[Element] = [*stops]
+        if AGE.state in bound_symbols:
+            memory.insert(0, AGE)
         return LawForm(
             coefficients=(
                 *(coefficient for coefficient, _ in terms),
                 TAU_0,
-                *(THINNING[kind] for kind in self.viscous if kind in THINNING),
-                *((V_S, AGEING_TIME) if AGE.state in bound_symbols else ()),
-                *((OLDEST,) if OLDEST.symbol in bound_symbols else ()),
-                *((LOAD_SCALE,) if TAU_LOAD in bound_symbols else ()),
-                *((LAG,) if self.ripple else ()),
+                *self._list_nonlinear(bound_symbols),
             ),
-            memory=(AGE, *stops) if AGE.state in bound_symbols else tuple(stops),
-            output=sum(
-                (coefficient.symbol * factor for coefficient, factor in terms), TAU_0.symbol
-            ),
+            memory=tuple(memory),
+            output=output,
         )
+
+    def _build_stop(self, kind: str, node: int) -> Stop:
+        """Return the stop with a bound of `BOUNDS` and the deflection of a node of `WIDTHS`."""
+        bound = BOUNDS[kind]
+        if self.limited:
+            bound = bound.xreplace(_LIMITED)
+        return Stop(
+            name=name_force(kind, node).replace("F", "x", 1),
+            unit="1",
+            velocity=DQ,
+            deflection=float(f"{WIDTHS[node]:.4g}"),
+            bound=bound,
+        )
+
+    def _build_wave_terms(self) -> list[tuple[Coefficient, sympy.Expr]]:
+        """Return the amplitudes of the ripple, and the waves averaged over a step."""
+        # The mean over the part of a step beyond `window` certifies any step.
+        beyond = positive(DT - sympy.Float(self.window))
+        angle = Q - (LAG.symbol + beyond / 2) * DQ
+        terms = []
+        waves = product(self.ripple, (sympy.cos, sympy.sin))
+        for name, (n, wave) in zip(self.waves, waves, strict=True):
+            mean = cardinal_sine(n * DQ * beyond / 2)
+            terms.append((_torque(name, describe_wave(n, wave)), wave(n * angle) * mean))
+        return terms
+
+    def _list_nonlinear(self, bound_symbols: Collection[sympy.Symbol]) -> list[Coefficient]:
+        """Return the coefficients in which the torque is not linear, of terms and of bounds."""
+        coefficients = [THINNING[kind] for kind in self.viscous if kind in THINNING]
+        if AGE.state in bound_symbols:
+            coefficients += [V_S, AGEING_TIME]
+        if OLDEST.symbol in bound_symbols:
+            coefficients.append(OLDEST)
+        if TAU_LOAD in bound_symbols:
+            coefficients.append(LOAD_SCALE)
+        if self.ripple:
+            coefficients.append(LAG)
+        return coefficients
 
 
 _BOUND_NAMES: Mapping[str, str] = {
@@ -213,13 +235,16 @@ def _torque(name: str, description: str) -> Coefficient:
 
 def name_force(kind: str, node: int) -> str:
     """Return the name of the force of a stop."""
-    return f"F_{kind}_{node + 1}" if kind != "1" else f"F_{node + 1}"
+    if kind == "1":
+        return f"F_{node + 1}"
+    return f"F_{kind}_{node + 1}"
 
 
 def build_rest_states(form: LawForm) -> tuple[float, ...]:
     """Return the states at rest, with aged contacts; empty if all are 0."""
-    memory = form.memory
-    return tuple(1.0 if element == AGE else 0.0 for element in memory) if AGE in memory else ()
+    if AGE not in form.memory:
+        return ()
+    return tuple(float(element == AGE) for element in form.memory)
 
 
 def evaluate_viscous(structure: Structure, numbers: Mapping[str, float], speeds: Array) -> Array:
@@ -266,7 +291,8 @@ def constrain_coefficients(
     `compute_required_viscosity`.
     """
     # Bounds between neighbouring speeds: all columns are monotonic, and waves fall.
-    viscous, waves = np.minimum(viscous[:-1], viscous[1:]), waves[:-1]
+    viscous = np.minimum(viscous[:-1], viscous[1:])
+    waves = waves[:-1]
     first = len(x) - free
     f = slice(first - viscous.shape[1], first)
     a = slice(len(x) - 2 * waves.shape[1], len(x))

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from itertools import product
+from itertools import compress, product
 
 import numpy as np
 
@@ -35,7 +35,9 @@ def derive_scales(rows: JointRows) -> dict[str, float]:
     load = float(np.max(np.abs(rows.tau_load)))
     speed = float(np.max(np.abs(rows.dq)))
     thinning_speeds = {THINNING[k].name: share * speed for k, share in SHARES.items()}
-    return {LOAD_SCALE.name: load if load > 0.0 else 1.0, **thinning_speeds}
+    if not load > 0.0:
+        load = 1.0  # of a joint without load, whose bounds of the load are 0 at any scale
+    return {LOAD_SCALE.name: load, **thinning_speeds}
 
 
 def select_ageing_times(rows: JointRows) -> tuple[float, ...]:
@@ -101,17 +103,18 @@ class Terms:
     @property
     def structure(self) -> Structure:
         """All terms of these bounds."""
-        stops = tuple(stop for kind in self.bounds for stop in build_stops(kind, self.scale).stops)
-        return Structure(stops=stops, viscous=VISCOUS)
+        stops: list[tuple[str, int]] = []
+        for kind in self.bounds:
+            stops += build_stops(kind, self.scale).stops
+        return Structure(stops=tuple(stops), viscous=VISCOUS)
 
     def _weighted_columns(self, kind: str) -> Array:
-        if kind not in self.cache:
-            kind_structure = (
-                Structure(viscous=VISCOUS) if kind == "viscous" else build_stops(kind, self.scale)
-            )
-            self.cache[kind] = self.weights[:, None] * columns(
-                kind_structure, self.numbers, self.rows
-            )
+        if kind in self.cache:
+            return self.cache[kind]
+        structure = Structure(viscous=VISCOUS)
+        if kind != "viscous":
+            structure = build_stops(kind, self.scale)
+        self.cache[kind] = self.weights[:, None] * columns(structure, self.numbers, self.rows)
         return self.cache[kind]
 
     @property
@@ -152,10 +155,8 @@ class Terms:
         is_loaded = stop_forces > MIN_FORCE_SHARE * max(stop_forces.sum(), np.finfo(float).tiny)
         is_viscous = x[len(full_structure.stops) :] > 0.0
         chosen = Structure(
-            stops=tuple(
-                s for s, is_active in zip(full_structure.stops, is_loaded, strict=True) if is_active
-            ),
-            viscous=tuple(v for v, is_active in zip(VISCOUS, is_viscous, strict=True) if is_active),
+            stops=tuple(compress(full_structure.stops, is_loaded)),
+            viscous=tuple(compress(VISCOUS, is_viscous)),
         )
         return chosen, np.hstack(self.blocks)[:, np.concatenate([is_loaded, is_viscous, [True]])]
 
@@ -165,24 +166,30 @@ def build_dictionary(rows: JointRows, *, load: bool, scale: int = 0) -> Terms:
     speed = float(np.max(np.abs(rows.dq)))
     ageing = select_ageing_times(rows)
     row_weights = weights(rows, max(ageing, default=0.0))
+    first_bounds = ["1"]
+    if ageing:
+        first_bounds.append("age")
+    if load:
+        first_bounds.append("load")
     first_terms = Terms(
-        bounds=("1", *("age",) * bool(ageing), *("load",) * load),
+        bounds=tuple(first_bounds),
         numbers=derive_scales(rows),
         rows=rows,
         weights=row_weights,
         products=FoldProducts(rows.tau, rows.folds, row_weights),
         scale=scale,
     )
-    trials = []
-    costs = []
     if not ageing:
         return first_terms
+    trials = []
+    costs = []
     for share, time in product(STRIBECK_SHARES, ageing):
-        trials.append(first_terms.replace_age(share * speed, time))
-        costs.append(trials[-1].cost)  # fills the cache
-        first_terms.cache.update(
-            {kind: kind_columns for kind, kind_columns in trials[-1].cache.items() if kind != "age"}
-        )
+        trial = first_terms.replace_age(share * speed, time)
+        trials.append(trial)
+        costs.append(trial.cost)  # fills the cache, of which the age alone differs between trials
+        for kind, kind_columns in trial.cache.items():
+            if kind != "age":
+                first_terms.cache[kind] = kind_columns
     return trials[joint_rows.find_first_best(costs)]
 
 
@@ -190,7 +197,9 @@ def search(baseline: Terms, *, load: bool) -> Terms:
     """Add bounds that gain more than a standard error on left-out rows; remove useless ones."""
     blocks = joint_rows.divide_into_blocks(baseline.rows.dt, baseline.rows.begins)
     best_terms = _remove_useless_bounds(baseline)
-    for kind in EXTRA_BOUNDS if load else ():
+    if not load:
+        return best_terms  # all further bounds are of the load
+    for kind in EXTRA_BOUNDS:
         extended_terms = replace(best_terms, bounds=(*best_terms.bounds, kind))
         if joint_rows.has_significant_gain(best_terms.errors, extended_terms.errors, blocks):
             best_terms = _remove_useless_bounds(extended_terms)
