@@ -100,38 +100,27 @@ def choose_laws(
     is_proven : whether a law's passivity is proven on a joint.
     can_join : whether one FMU can have both of two laws.
     """
-    joint_indices = [
-        j
-        for j in range(len(errors.joints))
-        if errors.fold_counts(j) >= MIN_FOLDS and errors.moving_seconds(j) >= _MIN_SECONDS
-    ]
-    candidates = [
-        law_name
-        for law_name in errors.laws
-        if all(np.isfinite(errors.rmse(law_name, j)) for j in joint_indices)
-    ]
+    joint_indices = [j for j in range(len(errors.joints)) if _is_judged(errors, j)]
+    candidates = [name for name in errors.laws if _is_finite(errors, name, joint_indices)]
     is_short = len(errors.joints) == 1 and errors.seconds < _MIN_SECONDS_OF_ONE
-    if not joint_indices or is_short:
-        base, replaced = PLAIN, ""
-    else:
+    base = PLAIN
+    replaced = ""
+    if joint_indices and not is_short:
         base_candidates = [
-            law_name
-            for law_name in candidates
-            if can_join(PLAIN, law_name) or _is_calm(errors, law_name, joint_indices)
+            name
+            for name in candidates
+            if can_join(PLAIN, name) or _is_calm(errors, name, joint_indices)
         ]
         base, replaced = _choose_base(errors, base_candidates, joint_indices, is_proven)
     joints = []
     for j in range(len(errors.joints)):
         if j not in joint_indices:
-            joints.append(
-                JointChoice(
-                    law_name=base, reason="short", known="nothing", proven=is_proven(base, j)
-                )
+            unjudged = JointChoice(
+                law_name=base, reason="short", known="nothing", proven=is_proven(base, j)
             )
+            joints.append(unjudged)
             continue
-        joint_candidates = [
-            law_name for law_name in candidates if law_name == base or can_join(law_name, base)
-        ]
+        joint_candidates = [name for name in candidates if name == base or can_join(name, base)]
         if replaced:  # the proof is why the base was taken
             joint_candidates = [name for name in joint_candidates if is_proven(name, j)]
         joints.append(_choose_joint(errors, j, base, joint_candidates, is_proven))
@@ -143,6 +132,15 @@ def choose_laws(
         guaranteed=replaced,
         is_short=is_short,
     )
+
+
+def _is_judged(errors: LeftOutErrors, j: int) -> bool:
+    """Return whether enough folds and rows judge a joint."""
+    return errors.fold_counts(j) >= MIN_FOLDS and errors.moving_seconds(j) >= _MIN_SECONDS
+
+
+def _is_finite(errors: LeftOutErrors, law_name: str, joint_indices: Sequence[int]) -> bool:
+    return all(np.isfinite(errors.rmse(law_name, j)) for j in joint_indices)
 
 
 def _choose_base(
@@ -197,11 +195,14 @@ def _choose_joint(
         worst_fold = worst_ratio
     size = errors.friction_size(j)
     if can_replace and not errors.rmse(law_name, j) < size:
-        explained = min((CONSTANT, NONE), key=lambda name: errors.rmse(name, j))
-        law_name, replaced = explained, law_name
+        best_constant = min((CONSTANT, NONE), key=lambda name: errors.rmse(name, j))
+        replaced = law_name
+        law_name = best_constant
         reason = "unexplained"
     log_ratio = errors.log_ratio(law_name, PLAIN, j)
-    standard_error = 0.0 if law_name == PLAIN else errors.standard_error(law_name, PLAIN, j)
+    standard_error = 0.0
+    if law_name != PLAIN:
+        standard_error = errors.standard_error(law_name, PLAIN, j)
     margin = float(stdtrit(errors.degrees_of_freedom(law_name, PLAIN, j), 0.975)) * standard_error
     known: Known = "nothing"
     if is_better(errors, law_name, PLAIN, j):
@@ -231,7 +232,9 @@ def _choose_calm_law(errors: LeftOutErrors, j: int, candidates: Sequence[str]) -
     """Return the best of the laws that explode on no fold if it is better than `PLAIN`."""
     calm_laws = [law_name for law_name in candidates if _is_calm(errors, law_name, [j])]
     best = min(calm_laws, key=lambda law_name: errors.rmse(law_name, j), default=PLAIN)
-    return best if is_better(errors, best, PLAIN, j) else PLAIN
+    if is_better(errors, best, PLAIN, j):
+        return best
+    return PLAIN
 
 
 def is_better(errors: LeftOutErrors, law_name: str, other: str, j: int) -> bool:

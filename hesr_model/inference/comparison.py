@@ -74,7 +74,9 @@ class ErrorRatio:
             is_significant = low is not None and high is not None and (high < 1.0 or low > 1.0)
         if not is_significant:
             return "alike"
-        return "better" if self.value < 1.0 else "worse"
+        if self.value < 1.0:
+            return "better"
+        return "worse"
 
 
 class _Deviation(NamedTuple):
@@ -175,18 +177,20 @@ class LawErrors:
             detectable = np.maximum(detectable, errors * standard_error_count)
         half_widths = np.minimum(half_widths, _MAX_LOG_RATIO)
         detectable_ratios = np.exp(np.minimum(detectable, _MAX_LOG_RATIO))
-        ratios = {
-            law_name: ErrorRatio(
+        ratios = {}
+        for i, law_name in enumerate(self.laws):
+            if law_name == other:
+                continue
+            ratio = ErrorRatio(
                 value=float(values[i]),
                 low=float(values[i] * np.exp(-half_widths[i])),
                 high=float(values[i] * np.exp(half_widths[i])),
                 p=float(p[i]),
-                detectable=None if too_few_logs else float(detectable_ratios[i]),
                 on_other_logs=self.between_degrees > 0,
             )
-            for i, law_name in enumerate(self.laws)
-            if law_name != other
-        }
+            if not too_few_logs:
+                ratio = replace(ratio, detectable=float(detectable_ratios[i]))
+            ratios[law_name] = ratio
         return self.adjust(ratios)
 
     def adjust(self, ratios: Mapping[Key, ErrorRatio]) -> dict[Key, ErrorRatio]:
@@ -322,28 +326,26 @@ def law_errors(
     log_names : name of each log; parts of one log share it. By default each is a log of its own.
     """
     laws = tuple(errors)
-    squares = [
-        np.stack([errors[law_name][k] ** 2 for law_name in laws]) for k in range(len(periods))
-    ]
-    total = sum(square.sum(axis=1) for square in squares) / sum(
-        square.shape[1] for square in squares
-    )
+    squares = [_stack_squares(errors, k) for k in range(len(periods))]
+    row_count = sum(square.shape[1] for square in squares)
+    total = sum(square.sum(axis=1) for square in squares) / row_count
     mean = np.maximum(np.asarray(total), 1e-300)
-    binned = [
-        _average_over_bins(square / (2.0 * mean[:, None]), period)
-        for square, period in zip(squares, periods, strict=True)
-    ]
     counted_laws = [laws.index(law_name) for law_name in among] or list(range(len(laws)))
+    binned = []
     rows = []
     is_slow = []
-    for psi, square, period in zip(binned, squares, periods, strict=True):
-        degrees = _count_degrees(psi[counted_laws], square.shape[1] * period)
-        n = psi.shape[1]
-        m = np.arange(1, degrees + 1)
-        cosines = np.sqrt(2.0 / n) * np.cos(np.pi * m[:, None] * (np.arange(n) + 0.5) / n)
-        rows.append(cosines @ psi.T)
-        is_slow.append(m <= (degrees + 1) // 2)
-    names = list(range(len(periods))) if log_names is None else list(log_names)
+    seconds = 0.0
+    for square, period in zip(squares, periods, strict=True):
+        duration = square.shape[1] * period
+        psi = _average_over_bins(square / (2.0 * mean[:, None]), period)
+        degrees = _count_degrees(psi[counted_laws], duration)
+        binned.append(psi)
+        rows.append(_project_on_cosines(psi, degrees))
+        is_slow.append(np.arange(1, degrees + 1) <= (degrees + 1) // 2)
+        seconds += duration
+    names: list[int | str] = list(range(len(periods)))
+    if log_names is not None:
+        names = list(log_names)
     bin_counts = np.array([psi.shape[1] for psi in binned])
     means = np.stack([psi.mean(axis=1) - 0.5 for psi in binned])
     weights = bin_counts * (means[:, counted_laws] + 0.5).mean(axis=1)
@@ -370,10 +372,21 @@ def law_errors(
         is_between=np.arange(within + between) >= within,
         between_degrees=between_degrees,
         bins=int(bin_counts.sum()),
-        seconds=float(
-            sum(square.shape[1] * period for square, period in zip(squares, periods, strict=True))
-        ),
+        seconds=float(seconds),
     )
+
+
+def _stack_squares(errors: Mapping[str, Sequence[Array]], k: int) -> Array:
+    """Return the squared errors (L, N) of all laws on a log."""
+    return np.stack([law_errors[k] ** 2 for law_errors in errors.values()])
+
+
+def _project_on_cosines(psi: Array, degrees: int) -> Array:
+    """Return the weights (degrees, L) of the slowest cosines in bins (L, n); the mean is none."""
+    n = psi.shape[1]
+    m = np.arange(1, degrees + 1)
+    cosines = np.sqrt(2.0 / n) * np.cos(np.pi * m[:, None] * (np.arange(n) + 0.5) / n)
+    return np.asarray(cosines @ psi.T)
 
 
 def _contrast(bin_counts: Array, means: Array) -> Array:

@@ -43,7 +43,9 @@ def correlation_length(residual: Array) -> float:
         return 1.0
     correlation = correlation / correlation[0]
     negative = np.flatnonzero(correlation <= 0.0)
-    stop = int(negative[0]) if len(negative) else len(correlation)
+    stop = len(correlation)
+    if len(negative):
+        stop = int(negative[0])
     return float(max(1.0, 1.0 + 2.0 * correlation[1:stop].sum()))
 
 
@@ -93,7 +95,9 @@ class Covariance:
         if not self.degrees:
             return 1.0
         by_chance = scipy.special.chdtri(self.degrees, _CHANCE_LEVEL) / self.degrees
-        return float(np.sqrt(self.between)) if self.between > by_chance else 1.0
+        if self.between > by_chance:
+            return float(np.sqrt(self.between))
+        return 1.0
 
     @property
     def matrix(self) -> Array:
@@ -142,7 +146,9 @@ def leave_out_rows(jacobian: Array, residual: Array, hessian: Array) -> Array:
 
 def blocks_of_time(logs: Integers) -> Integers:
     """Return the labels of logs (N,), or of blocks of time for a single log."""
-    return logs if np.any(logs != logs[0]) else np.arange(len(logs)) * BLOCKS // len(logs)
+    if np.any(logs != logs[0]):
+        return logs
+    return np.arange(len(logs)) * BLOCKS // len(logs)
 
 
 def covariance(
@@ -161,8 +167,9 @@ def covariance(
     or block. `prior_hessian` (P, P) is the Hessian of prior knowledge, `carried` (P, r) the summed
     gradients for one standard deviation of each of r independent errors of earlier estimates.
     """
-    data_hessian = np.sum(hessians, axis=0)
-    total_hessian = data_hessian if prior_hessian is None else data_hessian + prior_hessian
+    total_hessian = np.sum(hessians, axis=0)
+    if prior_hessian is not None:
+        total_hessian = total_hessian + prior_hessian
     parts = [(k, gradients[labels == k], hessian) for k, hessian in enumerate(hessians)]
     return covariance_of_parts(
         names, lambda: parts, total_hessian, prior_hessian=prior_hessian, carried=carried
@@ -189,9 +196,9 @@ def covariance_of_parts(
         hessians[label] += hessian
     labels = sorted(moments_by_log)
     moments = [moments_by_log[label] for label in labels]
-    carried_covariance = (
-        np.zeros_like(inverse) if prior_hessian is None else inverse @ prior_hessian @ inverse
-    )
+    carried_covariance = np.zeros_like(inverse)
+    if prior_hessian is not None:
+        carried_covariance = inverse @ prior_hessian @ inverse
     if carried is not None:
         carried_influences = inverse @ carried
         carried_covariance = carried_covariance + carried_influences @ carried_influences.T
@@ -326,9 +333,8 @@ def _compare_logs(
         other_hessian = _sum_others(hessians, k)
         if prior_hessian is not None:
             other_hessian = other_hessian + prior_hessian
-        log_step, other_step = (
-            _inverse(share, total_hessian) @ total_hessian for share in (hessians[k], other_hessian)
-        )
+        log_step = _inverse(hessians[k], total_hessian) @ total_hessian
+        other_step = _inverse(other_hessian, total_hessian) @ total_hessian
         difference = (log_step + other_step) @ log_moments.total
         variance = np.diag(
             log_step @ log_variances[k] @ log_step.T

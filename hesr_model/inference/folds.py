@@ -37,11 +37,12 @@ class Fold:
 
     def reverses(self, j: int) -> bool:
         """Return whether a joint reverses in the training pieces."""
-        return any(
-            len(reversals(piece.dq[find_settled_rows(piece.t), j], float(self.resting_speeds[j])))
-            > 0
-            for piece in self.training
-        )
+        resting_speed = float(self.resting_speeds[j])
+        for piece in self.training:
+            settled_dq = piece.dq[find_settled_rows(piece.t), j]
+            if len(reversals(settled_dq, resting_speed)):
+                return True
+        return False
 
 
 def split_into_folds(motions: Sequence[Motion], count: int = FOLD_COUNT) -> list[Fold]:
@@ -60,9 +61,10 @@ def split_into_folds(motions: Sequence[Motion], count: int = FOLD_COUNT) -> list
     folds = []
     for number in range(count):
         judged = tuple(fold_numbers == number for fold_numbers in fold_of_rows)
-        pairs = zip(motions, judged, strict=True)
-        training = tuple(piece for pair in pairs for piece in _cut_out(*pair))
-        folds.append(Fold(training=training, judged=judged))
+        training: list[Motion] = []
+        for motion, is_judged in zip(motions, judged, strict=True):
+            training += _remove_judged_rows(motion, is_judged)
+        folds.append(Fold(training=tuple(training), judged=judged))
     return folds
 
 
@@ -112,7 +114,7 @@ def _number_blocks(times: Sequence[Array], count: int) -> list[Array]:
     ]
 
 
-def _cut_out(motion: Motion, is_judged: Mask) -> Iterator[Motion]:
+def _remove_judged_rows(motion: Motion, is_judged: Mask) -> Iterator[Motion]:
     """Yield the pieces of a motion that are left without judged rows and their guard."""
     if not is_judged.any():
         yield motion
@@ -132,4 +134,6 @@ def thin(motion: Motion) -> Motion:
     Motions are smoothed to far lower frequencies, so that a faster rate adds cost only.
     """
     stride = int(1.0 / MAX_RATE / float(np.median(np.diff(motion.t))) + 1e-9)
-    return motion if stride < 2 else motion.rows(slice(None, None, stride))
+    if stride < 2:
+        return motion
+    return motion.rows(slice(None, None, stride))

@@ -89,12 +89,13 @@ class LeftOutErrors:
     @cached_property
     def _squares(self) -> dict[str, Array]:
         """Sums of squared errors by law, (blocks, n)."""
-        return {
-            law_name: np.stack(
-                [(law_errors[log][rows] ** 2).sum(axis=0) for log, rows, _, _ in self._blocks]
-            )
-            for law_name, law_errors in self.errors.items()
-        }
+        squares: dict[str, Array] = {}
+        for law_name, law_errors in self.errors.items():
+            block_sums = [
+                (law_errors[log][rows] ** 2).sum(axis=0) for log, rows, _, _ in self._blocks
+            ]
+            squares[law_name] = np.stack(block_sums)
+        return squares
 
     @cached_property
     def _is_counted(self) -> Mask:
@@ -219,7 +220,9 @@ class LeftOutErrors:
             for tau, folds in zip(self.tau, self.fold_of_row, strict=True)
         ]
         rows = np.concatenate(judged)
-        return float(np.std(rows)) if len(rows) else float("nan")
+        if not len(rows):
+            return float("nan")
+        return float(np.std(rows))
 
     def moving_seconds(self, j: int) -> float:
         """Return the duration [s] of the rows that are judged on a joint."""

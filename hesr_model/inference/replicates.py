@@ -150,11 +150,14 @@ def split_errors(
     if len(repetitions) < _MIN_REPETITIONS:
         return ()
     splines = _ErrorSplines(times, errors)
-    windows = [_compare_replicates(times, errors, splines, one) for one in repetitions]
+    windows = [
+        _compare_replicates(times, errors, splines, repetition) for repetition in repetitions
+    ]
     coinciding = sum(window.coinciding for window in windows)
     compared = sum(window.compared for window in windows)
-    coincide = coinciding >= _MIN_COINCIDING * compared
-    comparison = _Comparison.COINCIDING if coincide else _Comparison.ROWS
+    comparison = _Comparison.ROWS
+    if coinciding >= _MIN_COINCIDING * compared:
+        comparison = _Comparison.COINCIDING  # nothing is interpolated
     shares, std_errors = _estimate_shares(windows, comparison)
     smooth_shares, _ = _estimate_shares(windows, _Comparison.SMOOTH)
     squares = np.sum([window.squares for window in windows], axis=0)
@@ -187,8 +190,12 @@ def high_pass_errors(t: Array, errors: Array) -> Array | None:
 
 def count_rows(times: Sequence[Array], repetitions: Sequence[Repetition]) -> int:
     """Return the number of rows of all replicates."""
-    places = (place for repetition in repetitions for place in repetition.places)
-    return sum(rows.stop - rows.start for rows in (_select_rows(times, p) for p in places))
+    count = 0
+    for repetition in repetitions:
+        for place in repetition.places:
+            rows = _select_rows(times, place)
+            count += rows.stop - rows.start
+    return count
 
 
 def find_period(repetitions: Sequence[Repetition]) -> float | None:
@@ -198,7 +205,9 @@ def find_period(repetitions: Sequence[Repetition]) -> float | None:
         for place, next_place in zip(repetition.places, repetition.places[1:], strict=False):
             if place.log == next_place.log:
                 distances.append(next_place.start - place.start)
-    return float(np.median(distances)) if distances else None
+    if not distances:
+        return None
+    return float(np.median(distances))
 
 
 def _select_searched(trajectories: Sequence[RobotMotion]) -> dict[int, RobotMotion]:
@@ -321,7 +330,9 @@ def _match_windows(
         number += 1
         window = MotionPlace(index, float(log.stamps[row]))
         for other_index, other in later_logs.items():
-            first_row = row + _WINDOW_ROWS if other_index == index else 0
+            first_row = 0
+            if other_index == index:
+                first_row = row + _WINDOW_ROWS  # a window shares no row with its replicates
             for start in _find_starts(log, row, other, first_row):
                 yield _Match(number, window, MotionPlace(other_index, start))
 
@@ -356,7 +367,9 @@ def _align(window: Array, other: _SearchedLog, start: float) -> float | None:
     start = min(max(start, float(other.t[0])), latest)
     difference = other.spline(start + _PHASES) - window
     largest = float(np.sqrt(np.mean(np.square(difference), axis=0)).max())
-    return start if largest <= MAX_DIFFERENCE else None
+    if largest > MAX_DIFFERENCE:
+        return None
+    return start
 
 
 def _keep_long_matches(matches: Sequence[_Match]) -> list[_Match]:
@@ -374,7 +387,7 @@ def _keep_long_matches(matches: Sequence[_Match]) -> list[_Match]:
                 return neighbour
         return None
 
-    kept = []
+    long_matches = []
     for match in matches:
         length = 1
         for step in (-1, 1):
@@ -383,8 +396,8 @@ def _keep_long_matches(matches: Sequence[_Match]) -> list[_Match]:
                 length += 1
                 neighbour = find_neighbour(neighbour, step)
         if length >= needed:
-            kept.append(match)
-    return kept
+            long_matches.append(match)
+    return long_matches
 
 
 def _collect_repetitions(matches: Sequence[_Match]) -> list[Repetition]:
@@ -392,12 +405,13 @@ def _collect_repetitions(matches: Sequence[_Match]) -> list[Repetition]:
     places_of_window: dict[MotionPlace, list[MotionPlace]] = defaultdict(list)
     for match in matches:
         places_of_window[match.window].append(match.place)
-    taken: dict[int, list[float]] = defaultdict(list)
+    starts_by_log: dict[int, list[float]] = defaultdict(list)  # of places that are in use
 
     def is_free(place: MotionPlace) -> bool:
         # Windows that follow each other touch; alignment moves them by parts of a row.
         return all(
-            abs(start - place.start) > WINDOW_SECONDS - 1.0 / _RATE for start in taken[place.log]
+            abs(start - place.start) > WINDOW_SECONDS - 1.0 / _RATE
+            for start in starts_by_log[place.log]
         )
 
     repetitions = []
@@ -405,17 +419,17 @@ def _collect_repetitions(matches: Sequence[_Match]) -> list[Repetition]:
         if not is_free(window):
             continue
         places = [window]
-        taken[window.log].append(window.start)
+        starts_by_log[window.log].append(window.start)
         for place in sorted(places_of_window[window]):
             if is_free(place):
                 places.append(place)
-                taken[place.log].append(place.start)
+                starts_by_log[place.log].append(place.start)
         if len(places) > 1:
             # Evenly chosen, so that slow changes over a log count as they are.
             chosen = np.unique(np.linspace(0, len(places) - 1, MAX_PLACES).round().astype(int))
             repetitions.append(Repetition(places=tuple(places[k] for k in chosen)))
         else:
-            taken[window.log].remove(window.start)
+            starts_by_log[window.log].remove(window.start)
     return repetitions
 
 
@@ -475,9 +489,12 @@ def _compare_replicates(
 ) -> _WindowParts:
     """Return the sums of a repetition."""
     places = repetition.places
-    rows = [_select_rows(times, place) for place in places]
-    own_errors = [errors[place.log][own] for place, own in zip(places, rows, strict=True)]
-    phases = [times[place.log][own] - place.start for place, own in zip(places, rows, strict=True)]
+    own_errors = []
+    phases = []
+    for place in places:
+        rows = _select_rows(times, place)
+        own_errors.append(errors[place.log][rows])
+        phases.append(times[place.log][rows] - place.start)
     period = WINDOW_SECONDS / max(len(phases[0]), 1)
     even_phases = np.arange(0.0, WINDOW_SECONDS, period)
     smooth_errors = [splines.evaluate(place.log, place.start + even_phases) for place in places]

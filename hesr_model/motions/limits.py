@@ -64,12 +64,7 @@ class Limits:
     @classmethod
     def from_settings(cls, robot: Robot, stated_limits: MotionLimits) -> Self:
         """Return the limits, by default the model's; raises RobotError if they do not fit it."""
-        for key, entries in stated_limits:
-            if entries is not None and len(entries) != robot.n:
-                raise RobotError(
-                    f"key 'limits.{key}' has {len(entries)} entries; the {robot.n} joints of robot "
-                    f"'{robot.description.name}' need one each."
-                )
+        _require_one_entry_per_joint(robot, stated_limits)
         lower, upper, speed = robot.limits
         if stated_limits.position is None:
             _require_stated(robot, "position", upper - lower)
@@ -77,12 +72,7 @@ class Limits:
         position = np.array(
             stated_limits.position or np.column_stack([lower + margin, upper - margin])
         )
-        for j, joint in enumerate(robot.description.joints):
-            if position[j, 0] < lower[j] or position[j, 1] > upper[j]:
-                raise RobotError(
-                    f"key 'limits.position' of joint '{joint}' is {position[j, 0]:g} to "
-                    f"{position[j, 1]:g}; the model allows {lower[j]:g} to {upper[j]:g}."
-                )
+        _require_allowed_positions(robot, position)
         if stated_limits.velocity is None:
             _require_stated(robot, "velocity", speed)
         velocity = np.array(stated_limits.velocity or speed)
@@ -174,6 +164,26 @@ class Limits:
                 f"gravity, but limits.torque is {self.torque[j]:g} N.m."
             )
         return rest_q
+
+
+def _require_one_entry_per_joint(robot: Robot, stated_limits: MotionLimits) -> None:
+    for key, entries in stated_limits:
+        if entries is not None and len(entries) != robot.n:
+            raise RobotError(
+                f"key 'limits.{key}' has {len(entries)} entries; the {robot.n} joints of robot "
+                f"'{robot.description.name}' need one each."
+            )
+
+
+def _require_allowed_positions(robot: Robot, position: Array) -> None:
+    """Refuse ranges of position (n, 2) beyond the model's."""
+    lower, upper, _ = robot.limits
+    for j, joint in enumerate(robot.description.joints):
+        if position[j, 0] < lower[j] or position[j, 1] > upper[j]:
+            raise RobotError(
+                f"key 'limits.position' of joint '{joint}' is {position[j, 0]:g} to "
+                f"{position[j, 1]:g}; the model allows {lower[j]:g} to {upper[j]:g}."
+            )
 
 
 def _require_stated(robot: Robot, key: str, limits: Array) -> None:
