@@ -34,14 +34,22 @@ class Finding:
     @property
     def sentence(self) -> str:
         """Place, observation and remedy in one sentence."""
-        further_logs = f" and {len(self.logs) - 1} more" if len(self.logs) > 1 else ""
-        places = [self.where] if self.where else []
-        places += [f"log {self.logs[0]}{further_logs}"] if self.logs else []
+        places = []
+        if self.where:
+            places.append(self.where)
+        if len(self.logs) == 1:
+            places.append(f"log {self.logs[0]}")
+        elif self.logs:
+            places.append(f"log {self.logs[0]} and {len(self.logs) - 1} more")
         if self.joints:
-            plural = "s" if len(self.joints) > 1 else ""
-            places.append(f"joint{plural} {', '.join(map(repr, self.joints))}")
-        observation = f"{self.found}: {self.remedy}." if self.remedy else self.found
-        return f"{', '.join(places)}{': ' if places else ''}{observation}"
+            noun = "joint" if len(self.joints) == 1 else "joints"
+            places.append(f"{noun} {', '.join(map(repr, self.joints))}")
+        observation = self.found
+        if self.remedy:
+            observation = f"{self.found}: {self.remedy}."
+        if not places:
+            return observation
+        return f"{', '.join(places)}: {observation}"
 
 
 caution = partial(Finding, severity="warning")
@@ -62,7 +70,9 @@ def log_findings(findings: Iterable[Finding]) -> list[Finding]:
 
 def select_by_severity(findings: Iterable[Finding], severity: str) -> list[Finding]:
     """Return findings at or above a severity; none for ``"never"``."""
-    severities = SEVERITIES[: SEVERITIES.index(severity) + 1] if severity in SEVERITIES else ()
+    if severity not in SEVERITIES:
+        return []
+    severities = SEVERITIES[: SEVERITIES.index(severity) + 1]
     return [finding for finding in findings if finding.severity in severities]
 
 

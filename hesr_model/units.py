@@ -33,16 +33,21 @@ LOG_UNITS: Mapping[str, Mapping[str, float]] = {
 
 def find_si_factor(quantity: str, unit: str | float) -> float:
     """Return the size of a unit in SI; negative for ``-deg``."""
-    if isinstance(unit, str):
-        return LOG_UNITS[quantity][unit.removeprefix("-")] * (-1.0 if unit.startswith("-") else 1.0)
-    return float(unit)
+    if not isinstance(unit, str):
+        return float(unit)
+    factor = LOG_UNITS[quantity][unit.removeprefix("-")]
+    if unit.startswith("-"):
+        return -factor
+    return factor
 
 
 def reverse_unit(unit: str | float) -> str | float:
     """Return the unit with the opposite direction."""
-    if isinstance(unit, str):
-        return unit.removeprefix("-") if unit.startswith("-") else f"-{unit}"
-    return -unit
+    if not isinstance(unit, str):
+        return -unit
+    if unit.startswith("-"):
+        return unit.removeprefix("-")
+    return f"-{unit}"
 
 
 def is_allowed_unit(quantity: str, unit: str | float, *, is_prismatic: bool) -> bool:
@@ -56,14 +61,14 @@ def is_allowed_unit(quantity: str, unit: str | float, *, is_prismatic: bool) -> 
 
 
 def _to_prismatic_unit(product: str) -> str:
-    factors: list[str] = []
+    """Return a product of units with m in place of rad, N of N.m, and kg of kg.m2."""
+    factors = [""]
     for factor in product.split("."):
-        prefix, angle, power = factor.partition("rad")
-        last_factor = factors[-1] if factors else ""
-        if (last_factor[-1:], factor) == ("N", "m") or (last_factor, factor) == ("kg", "m2"):
-            continue
-        factors.append(f"{prefix}m{power}" if angle else factor)
-    return ".".join(factors)
+        is_lever = factors[-1].endswith("N") and factor == "m"
+        is_square_of_lever = factors[-1] == "kg" and factor == "m2"
+        if not is_lever and not is_square_of_lever:
+            factors.append(factor.replace("rad", "m", 1))
+    return ".".join(factors[1:])
 
 
 def unit_of_joint(unit: str, *, is_prismatic: bool) -> str:
@@ -74,11 +79,9 @@ def unit_of_joint(unit: str, *, is_prismatic: bool) -> str:
         raise ValueError(f"'{unit}' is not a unit")
     numerator, slash, denominator = unit.partition("/")
     prismatic_denominator = _to_prismatic_unit(denominator.removeprefix("(").removesuffix(")"))
-    return (
-        _to_prismatic_unit(numerator)
-        + slash
-        + (f"({prismatic_denominator})" if "." in prismatic_denominator else prismatic_denominator)
-    )
+    if "." in prismatic_denominator:
+        prismatic_denominator = f"({prismatic_denominator})"
+    return f"{_to_prismatic_unit(numerator)}{slash}{prismatic_denominator}"
 
 
 def unit_of_joints(unit: str, sliding: Sequence[bool]) -> str:
@@ -86,4 +89,6 @@ def unit_of_joints(unit: str, sliding: Sequence[bool]) -> str:
     prismatic_unit = unit_of_joint(unit, is_prismatic=True)
     if not any(sliding) or prismatic_unit == unit:
         return unit
-    return prismatic_unit if all(sliding) else f"{unit} ({prismatic_unit} where it slides)"
+    if all(sliding):
+        return prismatic_unit
+    return f"{unit} ({prismatic_unit} where it slides)"

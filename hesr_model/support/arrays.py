@@ -35,8 +35,10 @@ def select_rows(record: Record, rows: slice | Mask | Integers) -> Record:
 def join_records(records: Sequence[Record]) -> Record:
     """Return the first data class with its arrays followed by those of the others."""
     first: Any = records[0]
-    parts = {k: [getattr(record, k) for record in records] for k in get_arrays(first)}
-    combined: Record = replace(first, **{k: np.concatenate(part) for k, part in parts.items()})
+    joined: dict[str, Any] = {}
+    for name in get_arrays(first):
+        joined[name] = np.concatenate([getattr(record, name) for record in records])
+    combined: Record = replace(first, **joined)
     return combined
 
 
@@ -48,11 +50,12 @@ def rms(errors: Array, axis: int | tuple[int, ...] | None = 0) -> Array:
 
 def find_independent_columns(columns: Array) -> Mask:
     """Return whether each of the columns (N, K) is not explained by those before it, (K,)."""
-    used: list[int] = []
+    independent: list[int] = []
     for k, column in enumerate(columns.T):
-        rest = column
-        if used:
-            rest = column - columns[:, used] @ np.linalg.lstsq(columns[:, used], column)[0]
-        if rest @ rest > _MIN_INDEPENDENT_SHARE * float(column @ column):
-            used.append(k)
-    return np.isin(np.arange(columns.shape[1]), used)
+        residual = column
+        if independent:
+            earlier = columns[:, independent]
+            residual = column - earlier @ np.linalg.lstsq(earlier, column)[0]
+        if residual @ residual > _MIN_INDEPENDENT_SHARE * float(column @ column):
+            independent.append(k)
+    return np.isin(np.arange(columns.shape[1]), independent)

@@ -101,7 +101,9 @@ def _load_key(place: Path) -> bytes:
 
     def read_key() -> bytes | None:
         secret = _read_private(file)
-        return secret if secret and len(secret) == size else None  # else perhaps known to others
+        if not secret or len(secret) != size:
+            return None  # perhaps known to others
+        return secret
 
     secret = read_key()
     if secret:
@@ -172,7 +174,9 @@ def _make_private(path: Path) -> None:
 
 
 def _temporary_folder() -> Path:
-    user = os.getuid() if hasattr(os, "getuid") else 0
+    user = 0
+    if hasattr(os, "getuid"):
+        user = os.getuid()
     path = Path(tempfile.gettempdir(), f"hesr-cache-{user}")
     with suppress(OSError):
         path.mkdir(mode=0o700, exist_ok=True)
@@ -194,7 +198,9 @@ def _read_private(file: Path) -> bytes | None:
     except OSError:
         return None
     with os.fdopen(handle, "rb") as private_file:
-        return private_file.read() if _is_private(os.fstat(handle), stat.S_ISREG) else None
+        if not _is_private(os.fstat(handle), stat.S_ISREG):
+            return None
+        return private_file.read()
 
 
 def _read_entry(entry: Path) -> bytes | None:
@@ -224,7 +230,10 @@ def _digest(entry: Path, content: bytes) -> bytes:
 
 
 def _prune(kind: Path) -> None:
-    files = sorted(file for shelf in kind.iterdir() for file in _list_entries(shelf))
+    files: list[tuple[float, int, str]] = []
+    for shelf in kind.iterdir():
+        files += _list_entries(shelf)
+    files.sort()  # those that were not used for longest first
     total = sum(size for _, size, _ in files)
     for _, size, path in files:
         if total <= LIMIT:

@@ -284,7 +284,9 @@ def run_in_child(
     It may read `readable`, by default the path in the first argument. Raises DiedError.
     """
     with TemporaryDirectory(dir=folder) as process_folder:
-        paths = [Path(arguments[0])] if readable is None else readable
+        paths = readable
+        if paths is None:
+            paths = [Path(arguments[0])]
         module = function.partition(":")[0]
         child = Child(Path(process_folder), seconds, paths, module, *modules, memory=memory)
         try:
@@ -316,7 +318,9 @@ def _start(arguments: child_main.ChildArguments, folder: Path) -> "ChildProcess 
     if hasattr(os, "pidfd_open"):
         with suppress(FailedError, OSError):
             return _nursery.fork(arguments, folder, environment)
-    is_windows = sys.platform == "win32"  # its connection is a handle, which cannot be selected
+    # On Windows the connection is a handle, which cannot be selected.
+    is_windows = sys.platform == "win32"
+    inherited_files = () if is_windows else (arguments.connection,)
     return ChildProcess(
         _build_command(arguments),
         folder,
@@ -325,7 +329,7 @@ def _start(arguments: child_main.ChildArguments, folder: Path) -> "ChildProcess 
         stdout=subprocess.PIPE,  # the mechanisms that hold
         stderr=subprocess.DEVNULL,
         close_fds=not is_windows,
-        pass_fds=() if is_windows else (arguments.connection,),
+        pass_fds=inherited_files,
     )
 
 

@@ -131,7 +131,9 @@ def _call(function: str, *arguments: Any) -> Any:
 
 def _view_bytes(data: Any) -> memoryview:
     view = memoryview(data)
-    return view.cast("B") if view.nbytes else memoryview(b"")
+    if not view.nbytes:
+        return memoryview(b"")  # an empty view may have a shape that cannot be cast
+    return view.cast("B")
 
 
 def _limit_core_dumps() -> None:
@@ -158,7 +160,9 @@ def _limit(memory: int) -> None:
     for kind, limit in limits:
         # A lower limit may be set already.
         hard = resource.getrlimit(kind)[1]
-        effective_limit = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
+        effective_limit = limit
+        if hard != resource.RLIM_INFINITY:
+            effective_limit = min(limit, hard)
         resource.setrlimit(kind, (effective_limit, effective_limit))
 
 

@@ -62,6 +62,7 @@ _INCLUDE = re.compile(rb"^[ \t]*#[ \t]*include[ \t]*[\"<]([^\">]+)", re.MULTILIN
 
 
 def _hash_contents(source: Path, flags: Sequence[str]) -> Iterator[str]:
+    """Yield hashes of a source, of files among the flags, and of all that they include."""
     home = source.parent
     include_flags = [re.match("-(?:I|isystem)(.+)", flag) for flag in flags]
     folders = [home / match[1] for match in include_flags if match]
@@ -74,11 +75,18 @@ def _hash_contents(source: Path, flags: Sequence[str]) -> Iterator[str]:
         if file.suffix not in (".c", ".cpp", ".h"):
             continue
         for name in _INCLUDE.findall(data):
-            places = (place / name.decode() for place in (file.parent, *folders))
-            included = next((place for place in places if place.is_file()), None)
+            included = _find_included(name.decode(), [file.parent, *folders])
             if included and included not in visited:
                 visited.add(included)
                 pending_files.append(included)
+
+
+def _find_included(name: str, folders: Sequence[Path]) -> Path | None:
+    """Return the first file of this name in folders; None for one of the C library."""
+    for folder in folders:
+        if (folder / name).is_file():
+            return folder / name
+    return None
 
 
 def _run_compiler(

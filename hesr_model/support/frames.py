@@ -13,7 +13,9 @@ from hesr_model.support.extras import install_command
 def pandas_frame(columns: Mapping[str, Any], index: str | None = None) -> Any:
     """Return columns (N,) as a `pandas.DataFrame`."""
     frame = import_library("pandas").DataFrame(dict(columns))
-    return frame if index is None else frame.set_index(index)
+    if index is None:
+        return frame
+    return frame.set_index(index)
 
 
 def import_library(name: str) -> Any:
@@ -33,8 +35,8 @@ def html_table(caption: str, head: Sequence[str], rows: Iterable[Sequence[object
 
 
 def _format_row(kind: str, cells: Iterable[object]) -> Markup:
-    formatted_cells = (f"{cell:.4g}" if isinstance(cell, float) else cell for cell in cells)
-    html_cells = Markup("").join(
-        Markup(f"<{kind}>{{}}</{kind}>").format(cell) for cell in formatted_cells
-    )
+    html_cells = Markup("")
+    for cell in cells:
+        text = f"{cell:.4g}" if isinstance(cell, float) else cell
+        html_cells += Markup(f"<{kind}>{{}}</{kind}>").format(text)
     return Markup("<tr>{}</tr>").format(html_cells)

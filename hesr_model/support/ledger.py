@@ -40,7 +40,9 @@ def find_close_names(
 
 def format_suggestion(names: Sequence[str]) -> str:
     """Return "did you mean 'a', 'b' or 'c'?", or "" without names."""
-    return f"did you mean {join_with_or([quote(name) for name in names])}?" if names else ""
+    if not names:
+        return ""
+    return f"did you mean {join_with_or([quote(name) for name in names])}?"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +52,13 @@ class LeftOver:
     place: str
     name: str
     meant: tuple[str, ...]
+
+    @property
+    def text(self) -> str:
+        """The name, with its place if it has one."""
+        if not self.place:
+            return quote(self.name)
+        return f"{quote(self.name)} of {self.place}"
 
 
 class Ledger:
@@ -81,15 +90,17 @@ class Ledger:
         Unless names may repeat, one that is given already cannot be the one that was meant; nor can
         one that is `irrelevant`.
         """
-        given = dict.fromkeys(names)
+        stated_names = dict.fromkeys(names)
         used_names = dict.fromkeys(known)
-        missing = [name for name in used_names if may_repeat or name not in given]
+        missing = [name for name in used_names if may_repeat or name not in stated_names]
         known_names = {*used_names, *irrelevant}
-        for name in given:
+        for name in stated_names:
             if name in known_names:
                 continue
             exact = [
-                join_key(home, name) for home, others in (homes or {}).items() if name in others
+                join_key(home, name)
+                for home, home_names in (homes or {}).items()
+                if name in home_names
             ]
             meant = (*find_close_names(name, missing), *exact)[:_MAX_SUGGESTIONS]
             self.left_over.append(LeftOver(place=place, name=name, meant=meant))
@@ -153,10 +164,7 @@ class Ledger:
         """Return one warning that names what was left over, if anything was."""
         if not self.left_over:
             return []
-        names = dict.fromkeys(
-            f"{quote(item.name)} of {item.place}" if item.place else quote(item.name)
-            for item in self.left_over
-        )
+        names = dict.fromkeys(item.text for item in self.left_over)
         count = count_noun(len(names), self._noun)
         return [
             caution(
@@ -170,8 +178,9 @@ class Ledger:
 
 def get_local_name(element: Element | str) -> str:
     """Return the name of an element or attribute without its namespace."""
-    tag = element if isinstance(element, str) else element.tag
-    return str(tag).rpartition("}")[2]
+    if isinstance(element, str):
+        return element.rpartition("}")[2]
+    return str(element.tag).rpartition("}")[2]
 
 
 def _pair_tables(

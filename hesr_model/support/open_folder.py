@@ -36,7 +36,10 @@ class OpenFolder:
     @classmethod
     def open(cls, path: Path) -> Self:
         """Open a folder, also through links; raises OSError."""
-        return cls(path, os.open(path, _FOLDER_FLAGS) if _HAS_HANDLES else None)
+        handle = None
+        if _HAS_HANDLES:
+            handle = os.open(path, _FOLDER_FLAGS)
+        return cls(path, handle)
 
     def open_folder(self, name: str) -> "OpenFolder":
         """Open a folder in this one; a link to a folder raises OSError."""

@@ -176,7 +176,8 @@ def one_pool(*modules: str, first: Sequence[Callable[[], object]] = ()) -> Itera
     if _sharing is not None:
         yield
         return
-    with _Pool(count := os.cpu_count() or 1) as _sharing:
+    count = os.cpu_count() or 1
+    with _Pool(count) as _sharing:
         if modules and count > 1:
             _sharing.submit([partial(_import, modules)] * count + list(first))
         try:
@@ -244,7 +245,10 @@ class _Pool:
         batch = [prepare for prepare in preparations if prepare is not None], list(jobs)
         (self._folder / f"{JOBS}{self._batches}").write_bytes(cloudpickle.dumps(batch))
         futures = [Future[JobAnswer]() for _ in jobs]
-        for k in sorted(range(len(jobs)), key=lambda k: -costs[k] if costs else k):
+        order = list(range(len(jobs)))
+        if costs:
+            order.sort(key=lambda k: -costs[k])
+        for k in order:
             self._tasks.put((self._batches, k, futures[k], _display(names, k)))
         return futures
 
@@ -300,7 +304,9 @@ _sharing: _Pool | None = None
 
 
 def _display(names: Sequence[str], k: int) -> AbstractContextManager[None]:
-    return running(names[k], current()) if names else nullcontext()
+    if not names:
+        return nullcontext()
+    return running(names[k], current())
 
 
 def _run_in_process(

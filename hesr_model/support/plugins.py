@@ -92,11 +92,10 @@ def _installed(_path: tuple[str, ...]) -> list[Plugin]:
     for distribution in distributions():
         if "[hesr." in (distribution.read_text("entry_points.txt") or ""):
             entries_by_package.setdefault(distribution.name, list(distribution.entry_points))
-    return [
-        Plugin(name=entry.name, package=package, entry=entry)
-        for package, entries in entries_by_package.items()
-        for entry in entries
-    ]
+    plugins: list[Plugin] = []
+    for package, entries in entries_by_package.items():
+        plugins += [Plugin(name=entry.name, package=package, entry=entry) for entry in entries]
+    return plugins
 
 
 def names(group: str) -> tuple[str, ...]:
@@ -108,7 +107,9 @@ def find(group: str, name: str) -> Any:
     """Import and return a plug-in's object, or raise ConfigError."""
     plugins = load(group)
     if name not in plugins:
-        reason = f"unknown; known are {', '.join(plugins)}" if plugins else "not installed"
+        reason = "not installed"
+        if plugins:
+            reason = f"unknown; known are {', '.join(plugins)}"
         raise ConfigError(f"{GROUPS[group]} '{name}' is {reason}.")
     return plugins[name].load()
 

@@ -50,14 +50,15 @@ class ChildProcess:
         **popen_options: Any,
     ) -> None:
         self._mark = mark or new_mark()
+        variables = dict(os.environ if inherited is None else inherited)
+        variables |= _SAFE_PATH
+        variables |= {self._mark: "1"}
+        variables |= environment or {}
         try:
             self.process = subprocess.Popen(
                 list(command),
                 cwd=folder,
-                env=dict(os.environ if inherited is None else inherited)
-                | _SAFE_PATH
-                | {self._mark: "1"}
-                | dict(environment or {}),
+                env=variables,
                 start_new_session=start_new_session,
                 **popen_options,
             )
@@ -114,8 +115,9 @@ def keep_current_folder_out() -> None:
 
 def tie_command(command: Sequence[str]) -> Sequence[str]:
     """Return a command whose program ends with this process, also if it is killed (Linux)."""
-    prefix = (sys.executable, "-ISc", _TIED_SCRIPT, str(os.getpid()))
-    return (*prefix, *command) if sys.platform == "linux" else command
+    if sys.platform != "linux":
+        return command
+    return (sys.executable, "-ISc", _TIED_SCRIPT, str(os.getpid()), *command)
 
 
 def run(

@@ -10,7 +10,7 @@ import json
 import logging
 import os
 import stat
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -176,7 +176,9 @@ class _NewFolder:
             if is_listed:
                 write_list(new, hash_files(new))
             old = self._open_old(cleanup)
-            listed = read_list(old) if old else None
+            listed = None
+            if old:
+                listed = read_list(old)
             if old and listed is None and _have_common_files(old, new):
                 old.copy_mode(new)
                 sync_all(new)
@@ -190,10 +192,13 @@ class _NewFolder:
             new = cleanup.enter_context(OpenFolder.open(self.path))
             hashes = hash_files(new)
             old = self._open_old(cleanup)
-            listed = read_list(old) if old else None
+            listed = None
+            if old:
+                listed = read_list(old)
+            replaced_files = set(hashes)
             if listed is not None:
                 write_list(new, {**listed, **hashes})
-            replaced_files = {*hashes, LIST} if listed is not None else hashes.keys()
+                replaced_files.add(LIST)
             self._take_name(new, old, lambda _folder, path, _name: path not in replaced_files)
 
     @contextmanager
@@ -210,11 +215,14 @@ class _NewFolder:
 
     def _take_name(self, new: OpenFolder, old: OpenFolder | None, is_kept: _Selection) -> None:
         """Exchange both folders; `is_kept` selects old files that are in both."""
-        carrier = _Carrier(old, new, self._given_path) if old else None
-        if old and carrier:
+        carrier = None
+        carried: Collection[str] = ()
+        if old:
+            carrier = _Carrier(old, new, self._given_path)
             old.copy_mode(new)
             carrier.carry(is_kept)
-        sync_all(new, carrier.carried if carrier else ())
+            carried = carrier.carried
+        sync_all(new, carried)
         with OpenFolder.open(self.path.parent) as scratch:
             self._exchange(scratch, self.path.name)
             if carrier:
@@ -303,7 +311,9 @@ def read_list(folder: OpenFolder) -> dict[str, str] | None:
         is_signed = hmac.compare_digest(str(data["signature"]).encode(), _sign(hashes).encode())
     except (ValueError, KeyError, TypeError, RecursionError):
         return None
-    return hashes if is_signed else None
+    if not is_signed:
+        return None
+    return hashes
 
 
 def _sign(hashes: Mapping[str, str]) -> str:
@@ -394,17 +404,18 @@ class _Carrier:
             if old.is_folder(name):
                 self._provide_folder(old, new, name, f"{path}/")
                 return
-            new_name = self._find_backup(old, new, name, path) if new.has(name) else name
+            new_name = name
+            if new.has(name):
+                new_name = self._find_backup(old, new, name, path)
             old.share(name, new, new_name)
             self.carried.add(f"{new_path}{new_name}")
 
     def _provide_folder(self, old: OpenFolder, new: OpenFolder, name: str, old_path: str) -> str:
         """Return the name of the new folder for an old one, which is made if missing."""
         if old_path not in self._new_names:
-            is_taken = new.has(name) and not new.is_folder(name)
-            self._new_names[old_path] = (
-                self._find_backup(old, new, name, old_path) if is_taken else name
-            )
+            self._new_names[old_path] = name
+            if new.has(name) and not new.is_folder(name):
+                self._new_names[old_path] = self._find_backup(old, new, name, old_path)
         new_name = self._new_names[old_path]
         if not new.has(new_name):
             new.make_folder(new_name)

@@ -191,7 +191,8 @@ def enter_namespaces() -> bool:
     Processes started later are in the new namespace of processes. After False the caller must end,
     since it may have no name for its user.
     """
-    user, group = os.getuid(), os.getgid()
+    user = os.getuid()
+    group = os.getgid()
     if _library().unshare(_NAMESPACES) != 0:
         return False
     try:
@@ -238,7 +239,9 @@ def _call(*arguments: object) -> int:
 
 
 def _long(argument: object) -> object:
-    return ctypes.c_long(argument) if isinstance(argument, int) else argument
+    if isinstance(argument, int):
+        return ctypes.c_long(argument)
+    return argument
 
 
 def _control(*arguments: object) -> None:

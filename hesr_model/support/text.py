@@ -13,14 +13,20 @@ _MAX_LENGTH = 160  # characters; hostile texts have millions
 
 def sanitise(text: str, max_length: int = _MAX_LENGTH) -> str:
     """Return text on one line, control characters escaped."""
-    return escape(text if len(text) <= max_length else f"{text[:max_length]}...")
+    if len(text) > max_length:
+        text = f"{text[:max_length]}..."
+    return escape(text)
 
 
 def escape(text: str) -> str:
     """Return text with unprintable characters escaped."""
-    return "".join(
-        c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in text
-    )
+    return "".join(map(_escape_character, text))
+
+
+def _escape_character(character: str) -> str:
+    if character.isprintable():
+        return character
+    return character.encode("unicode_escape", "surrogatepass").decode()
 
 
 def on_one_line(error: Exception) -> str:
@@ -55,14 +61,18 @@ def join_with_or(words: Sequence[str]) -> str:
 
 def _join_words(words: Sequence[str], conjunction: str) -> str:
     *first, last = words
-    return f"{', '.join(first)} {conjunction} {last}" if first else last
+    if not first:
+        return last
+    return f"{', '.join(first)} {conjunction} {last}"
 
 
 def join_few(words: Iterable[str], max_count: int = 5) -> str:
     """Return words, and the number of further ones."""
     words = list(words)
-    ending = f" and {len(words) - max_count} more" if len(words) > max_count else ""
-    return f"{', '.join(words[:max_count])}{ending}"
+    text = ", ".join(words[:max_count])
+    if len(words) > max_count:
+        text += f" and {len(words) - max_count} more"
+    return text
 
 
 def format_settings(changes: Mapping[str, Any]) -> str:
@@ -88,8 +98,10 @@ def to_toml(value: Any) -> str:
         return "{ " + ", ".join(f"{json.dumps(k)} = {to_toml(v)}" for k, v in value.items()) + " }"
     if isinstance(value, tuple | list):
         return f"[{', '.join(map(to_toml, value))}]"
+    if isinstance(value, float):
+        return repr(float(value))
     # TOML writes text, integers and booleans like JSON.
-    return repr(float(value)) if isinstance(value, float) else json.dumps(value, ensure_ascii=False)
+    return json.dumps(value, ensure_ascii=False)
 
 
 Data = TypeVar("Data")
@@ -141,8 +153,10 @@ def _parse_integer(digits: str) -> int:
 
 
 def _require_numbers(data: Any) -> None:
-    if isinstance(data, dict | list):
-        for value in data.values() if isinstance(data, dict) else data:
+    if isinstance(data, dict):
+        data = list(data.values())
+    if isinstance(data, list):
+        for value in data:
             _require_numbers(value)
     elif isinstance(data, int) and abs(data) > 10**_MAX_DIGITS:
         raise ValueError(f"it holds an integer of more than {_MAX_DIGITS} digits")

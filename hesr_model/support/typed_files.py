@@ -83,7 +83,9 @@ class Config(BaseModel):
     def expand_per_joint(self, key: str, joints: int) -> tuple[Any, ...]:
         """Return the value of each joint, where a file gives one for all or one per joint."""
         value = getattr(self, key)
-        return value if isinstance(value, tuple) else (value,) * joints
+        if isinstance(value, tuple):
+            return value
+        return (value,) * joints
 
     @classmethod
     def from_data(cls, path: Path, data: Any) -> Self:
@@ -143,8 +145,9 @@ def _build_refusal(path: Path, error: ValidationError, schema: type[Config]) -> 
     elif problem.code == _MISSING_KEY:
         sentence = _report_missing_keys(problems)
     elif isinstance(details["input"], dict):
-        table = f"table '{problem.place}': " if problem.place else ""
-        sentence = f"{table}{problem.reason}."
+        sentence = f"{problem.reason}."
+        if problem.place:
+            sentence = f"table '{problem.place}': {sentence}"
     else:
         sentence = f"key '{problem.place}' is {_shorten(details['input'])}: {problem.reason}."
     return ConfigError(f"{path}: {sentence}", code=problem.code, where=path, key=problem.key)
@@ -175,13 +178,16 @@ def _report_missing_keys(problems: Sequence[Any]) -> str:
         for problem in map(_describe_problem, problems)
         if problem.code == _MISSING_KEY
     ]
-    subject = f"key {keys[0]} is" if len(keys) == 1 else f"keys {join_with_and(keys)} are"
-    return f"{subject} missing."
+    if len(keys) == 1:
+        return f"key {keys[0]} is missing."
+    return f"keys {join_with_and(keys)} are missing."
 
 
 def _shorten(value: object) -> str:
     text = repr(value)
-    return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}..."
+    if len(text) > _MAX_SHOWN:
+        text = f"{text[:_MAX_SHOWN]}..."
+    return text
 
 
 Kind = TypeVar("Kind")
@@ -287,8 +293,9 @@ def _build_json_refusal(
     problem = _describe_problem(error.errors()[0])
     if problem.code == _MISSING_KEY:
         similar = _find_similar(data, problem.key)
-        hint = f"; there is {quote_names(similar)}" if similar else ""
-        sentence = f"key '{problem.key}' is missing{hint}."
+        sentence = f"key '{problem.key}' is missing."
+        if similar:
+            sentence = f"key '{problem.key}' is missing; there is {quote_names(similar)}."
     elif problem.code == _UNKNOWN_KEY:
         sentence = f"not {subject} (unknown key '{problem.key}')."
     elif problem.place:
