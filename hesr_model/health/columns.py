@@ -1,12 +1,13 @@
 """Columns of a log that a robot file leaves open: guessed, tried, and what stays undecided."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from hesr_model.errors import LogError
 from hesr_model.health.joints import apply_changes
-from hesr_model.logs.guess import ColumnCandidate, guess_columns
+from hesr_model.logs.column_names import UnitSize
+from hesr_model.logs.guess import ColumnCandidate, ColumnGuess, guess_columns
 from hesr_model.logs.log_format import LogColumns, LogFormat, LogUnits, column_names
 from hesr_model.logs.log_table import LogTable
 from hesr_model.robots.robot import RobotDescription
@@ -66,31 +67,45 @@ def _guess_open(
         open_quantities = [name for name in open_quantities if name != "current"]
     candidates = [*open_quantities, *(name for name in _OPTIONAL if name not in settled)]
     guessed = {name: guess.columns[name] for name in candidates if name in guess.columns}
-    changes: dict[str, Any] = {f"log.columns.{name}": names for name, names in guessed.items()}
-    reasons = {
-        f"log.columns.{name}": f"likely: {guess.reasons.get(name, 'it rises')}" for name in guessed
-    }
+    changes: dict[str, Any] = {}
+    reasons: dict[str, str] = {}
+    for name, names in guessed.items():
+        changes[f"log.columns.{name}"] = names
+        reasons[f"log.columns.{name}"] = f"likely: {guess.reasons.get(name, 'it rises')}"
     if "dq" in open_quantities and "dq" not in guessed:
         changes["log.columns.dq"] = ""
         reasons["log.columns.dq"] = "likely: no column looks like a velocity"
-    for name, unit in guess.units.items():
-        if name in guessed and getattr(description.log.units, name) == getattr(LogUnits(), name):
-            changes[f"log.units.{name}"] = unit
-            reasons[f"log.units.{name}"] = f"likely: {guess.reasons[name]}"
-    efforts: Sequence[ColumnCandidate] = ()
-    for name in _EFFORTS:
-        if name in guessed:
-            efforts = guess.candidates[name]
-            break
+    for name, unit in _find_units(guess, guessed, description.log.units).items():
+        changes[f"log.units.{name}"] = unit
+        reasons[f"log.units.{name}"] = f"likely: {guess.reasons[name]}"
     return _add_constants(
         ColumnProposal(
             description=apply_changes(description, changes),
             reasons=reasons,
-            efforts=efforts,
+            efforts=_list_efforts(guess, guessed),
             refusal=refusal,
         ),
         {**settled, **guessed},
     )
+
+
+def _find_units(
+    guess: ColumnGuess, guessed: Container[str], units: LogUnits
+) -> dict[str, UnitSize]:
+    """Return the units of guessed quantities for which the robot file has the default."""
+    return {
+        name: unit
+        for name, unit in guess.units.items()
+        if name in guessed and getattr(units, name) == getattr(LogUnits(), name)
+    }
+
+
+def _list_efforts(guess: ColumnGuess, guessed: Container[str]) -> Sequence[ColumnCandidate]:
+    """Return all candidates for the torque or, without one, for the current."""
+    for name in _EFFORTS:
+        if name in guessed:
+            return guess.candidates[name]
+    return ()
 
 
 def _find_settled(table: LogTable, description: RobotDescription) -> dict[str, Sequence[str]]:

@@ -129,9 +129,9 @@ def _compare_moments(v: Array, dq: Array, noise: tuple[float, float]) -> tuple[E
 
 def _estimate_by_jackknife(values: Array) -> Estimate:
     """Return the first value, of all blocks, with the error from those without one block each."""
-    others = values[1:]
-    count = len(others)
-    scatter = float(np.sum((others - others.mean()) ** 2))
+    estimates = values[1:]
+    count = len(estimates)
+    scatter = float(np.sum((estimates - estimates.mean()) ** 2))
     return Estimate(value=float(values[0]), error=float(np.sqrt(scatter * (count - 1) / count)))
 
 

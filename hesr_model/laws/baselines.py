@@ -41,10 +41,10 @@ def fit_coulomb_viscous(dq: Array, tau: Array) -> tuple[float, float, float]:
     free_columns = [0, 1, 2]
     while True:
         is_independent = find_independent_columns(columns[:, free_columns])
-        used = [free_columns[k] for k in np.flatnonzero(is_independent)]
+        fitted_columns = [free_columns[k] for k in np.flatnonzero(is_independent)]
         coefficients = np.zeros(3)
-        if used:
-            coefficients[used] = np.linalg.lstsq(columns[:, used], tau)[0]
+        if fitted_columns:
+            coefficients[fitted_columns] = np.linalg.lstsq(columns[:, fitted_columns], tau)[0]
         # In units of torque, so that the two can be compared.
         forces = coefficients[:2] * np.sqrt(np.mean(columns[:, :2] ** 2, axis=0))
         if forces.min() >= 0.0:
