@@ -17,7 +17,15 @@ _log = logging.getLogger(__name__)
 class Finding:
     """A finding of a check, whose name `--accept` takes.
 
-    `where` is a file, unless `logs` name it; `changes` are values by key of the robot file.
+    Attributes
+    ----------
+    check : name of the check.
+    severity : "error", "warning" or "advice".
+    where : file, unless `logs` name it.
+    joints, logs : names of those that it concerns.
+    found : what was observed.
+    remedy : what to do; may be empty.
+    changes : values by key of the robot file that mend it; not in JSON.
     """
 
     check: str

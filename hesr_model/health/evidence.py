@@ -28,11 +28,20 @@ _KNEE_SHARE = 0.1  # speed over which a sign is smoothed, as a share of the peak
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SmoothPart:
-    """Smoothed part of a log, (N, n); `v`, `a` are derivatives of q, `dq` was logged.
+    """Smoothed part of a log.
 
-    Joints rest up to `resting_travel` [rad, m] and `resting_speeds` [rad/s, m/s], of each or of all
-    joints; `find_rests` derives them from all logs. Within `settling` [s] of its ends the low pass
-    continues the motion by a guess; 0 if nothing was smoothed.
+    Attributes
+    ----------
+    log : the part as it was read.
+    t : (N,) time [s].
+    q : (N, n) smoothed positions [rad, m].
+    v, a : (N, n) first and second derivative of `q` [rad/s, m/s; rad/s^2, m/s^2].
+    dq : (N, n) smoothed velocities as logged [rad/s, m/s]; None if only positions were.
+    tau : (N, n) torques as logged [N.m, N].
+    resting_travel, resting_speeds : up to which joints rest [rad, m; rad/s, m/s], of each or of
+        all joints; `find_rests` derives them from all logs.
+    settling : time [s] at both ends within which the low pass continues the motion by a guess; 0
+        if nothing was smoothed.
     """
 
     log: Log
@@ -174,7 +183,13 @@ def smooth_parts(log: Log, cutoff: float) -> list[SmoothPart]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModelTorques:
-    """Model torques along a motion (N, n); gravity without its mean."""
+    """Torques of a model along a motion.
+
+    Attributes
+    ----------
+    gravity : (N, n) [N.m, N] without their means, which offsets of the log would hide.
+    inertial : (N, n) [N.m, N] of acceleration and velocity.
+    """
 
     gravity: Array
     inertial: Array
@@ -212,7 +227,16 @@ def friction_shape(v: Array) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class TorqueFit:
-    """Regression of a joint's torque: gravity and inertia over the model's, the others in [N.m]."""
+    """Regression of a joint's torque on gravity, inertia, friction and an offset.
+
+    Attributes
+    ----------
+    gravity, inertia : over those of the model.
+    friction : along the velocity [N.m, N]; negative if it drives the motion.
+    gravity_size : standard deviation of the model's gravity [N.m, N].
+    friction_size : standard deviation of the explained friction [N.m, N].
+    residual, deviation : standard deviation [N.m, N] of what is left, and of the torque.
+    """
 
     gravity: Estimate
     inertia: Estimate

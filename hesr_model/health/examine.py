@@ -53,7 +53,16 @@ CHECKS = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Examination:
-    """Findings, with model torques and regressions of each part."""
+    """What the checks of logs say, and what they were derived from.
+
+    Attributes
+    ----------
+    findings : merged over logs and joints, errors first.
+    parts : parts of the logs whose time is sound.
+    torques : of the model along each part; empty without a model.
+    fits : regressions of the torques of each part, by joint; empty without a model.
+    undecided : hypotheses that the logs can neither confirm nor contradict, as advice.
+    """
 
     findings: tuple[Finding, ...] = ()
     parts: tuple[SmoothPart, ...] = ()

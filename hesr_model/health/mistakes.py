@@ -33,7 +33,14 @@ _MIN_GRAVITY_SHARE = 0.2  # of the declared gravity, below which the torques sho
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SupposedRows:
-    """Rows of several logs (N, n), motors over gear ratios, and gravity (3,)."""
+    """Rows of several logs under a supposition.
+
+    Attributes
+    ----------
+    q, v, a : (N, n) positions [rad, m] and their derivatives.
+    tau : (N, n) torques [N.m, N] at the side that the log measures, motors over gear ratios.
+    gravity : (3,) [m/s^2].
+    """
 
     q: Array
     v: Array
@@ -44,7 +51,16 @@ class SupposedRows:
 
 @dataclass(frozen=True, eq=False)
 class Mistake:
-    """A mistake that the file may have, changes that mend it, and corrected rows."""
+    """A mistake that the file may have.
+
+    Attributes
+    ----------
+    check : name of the finding.
+    joint : index of the joint, -1 for all.
+    remedy : what is wrong, in words.
+    changes : values by key of the robot file that mend it.
+    corrected : rows as they are with these changes.
+    """
 
     check: str
     joint: int

@@ -508,6 +508,7 @@ def _estimate_sliding_torque(
     v = part.v[:, j]
     tau = part.tau[:, j]
     speeds = float(np.max(np.abs(v))) * _SPEED_SHARES
+    # Friction is linear between nodes of speed, so that its value at each node is a coefficient.
     hat_functions = np.stack(
         [np.interp(np.abs(v), speeds, node_values) for node_values in np.eye(len(speeds))],
         axis=1,

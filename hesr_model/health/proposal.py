@@ -62,9 +62,17 @@ _NO_REMEDY = "no change that was tried removes it; check the column, its unit an
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Proposal:
-    """A robot description with reasons by key, logs read with it, and findings before changes.
+    """A robot description with reasons, the logs read with it, and what their checks find.
 
-    `undecided` are values by key that an edit of the robot file can choose.
+    Attributes
+    ----------
+    description : proposed for the robot file.
+    reasons : for its values, with their certainty, by key such as ``log.units.q``.
+    logs : read with the description; empty if they cannot be read.
+    examination : of these logs.
+    first_findings : before any change.
+    prismatic_joints : indices of joints that slide.
+    undecided : values by key that an edit of the robot file can choose.
     """
 
     description: RobotDescription

@@ -153,6 +153,8 @@ class Explanations:
         scales = []
         for friction in (self.friction, *self.friction_with_memory):
             columns = np.column_stack([self.gravity, self.inertial, friction])
+            # Scaled, since a cut-off of singular values is none for columns of different units; a
+            # column of zeros gets a coefficient of 0.
             size = np.maximum(np.linalg.norm(columns, axis=0), 1e-150)
             coefficients = np.linalg.lstsq(columns / size, self.tau, rcond=1e-9)[0] / size
             scales.append(float(coefficients[kind]))

@@ -45,22 +45,29 @@ POWER = 0.8  # probability with which the smallest detectable difference is foun
 
 @dataclass(frozen=True, kw_only=True)
 class ErrorRatio:
-    """Ratio of the RMSEs of two laws: value and 95 % interval, None if the logs are too short.
+    """Ratio of the RMSEs of two laws.
 
-    With several logs the interval is that of the mean ratio on other logs of the kind; with one log
-    it is that of its rows. `p` belongs to the interval: below 5 % if and only if that excludes 1.
-    Neither is adjusted for the number of comparisons; `adjusted_p` is (Holm). `detectable` is the
-    smallest ratio above 1 that such logs would show, None if they are too few.
+    Attributes
+    ----------
+    value : the ratio.
+    low, high : its 95 % interval, not adjusted for the number of comparisons; None if the logs are
+        too short. With several logs it is that of the mean ratio on other logs of the kind, with
+        one log that of its rows.
+    p : of the interval: below 5 % if and only if that excludes 1.
+    others : only in earlier results.
+    detectable : smallest ratio above 1 that such logs would show; None if they are too few.
+    adjusted_p : `p` adjusted for the number of comparisons (Holm); None in earlier results.
+    on_other_logs : whether the interval is that of other logs of the kind.
     """
 
     value: float
     low: float | None
     high: float | None
     p: float | None = None  # adjusted in earlier results
-    others: tuple[float, float] | None = None  # only in earlier results
+    others: tuple[float, float] | None = None
     detectable: Annotated[float | None, Field(exclude=True)] = None  # not in JSON
-    adjusted_p: float | None = None  # None in earlier results
-    on_other_logs: bool = False  # whether the interval is that of other logs of the kind
+    adjusted_p: float | None = None
+    on_other_logs: bool = False
 
     @property
     def verdict(self) -> str:

@@ -62,8 +62,14 @@ _RANK_TOLERANCE = 1e-13  # relative rank tolerance of a scaled Hessian
 class Covariance:
     """Covariance of P unknowns of one least-squares problem.
 
-    `within` (P, P) is from the rows of each log, `between` the mean square difference between logs
-    relative to it with `degrees` independent comparisons, `carried` (P, P) from earlier estimates.
+    Attributes
+    ----------
+    names : of the unknowns.
+    within : (P, P) from the rows of each log, in the unknowns' units.
+    between : mean square difference between logs, relative to what `within` predicts.
+    degrees : independent comparisons of logs; 0 without any.
+    carried : (P, P) from earlier estimates.
+    logs : number of logs, or of blocks of time of a single log.
     """
 
     names: tuple[str, ...]
@@ -71,7 +77,7 @@ class Covariance:
     between: float
     degrees: float
     carried: Numbers
-    logs: int = 1  # or blocks of time
+    logs: int = 1
 
     def __post_init__(self) -> None:
         shape = (len(self.names),) * 2
