@@ -512,8 +512,8 @@ def _fit_body(table: Array, scale: float) -> Array:
 
 def _project_out(columns: Array, targets: Array) -> Array:
     """Project `targets` (N, K) onto the orthogonal complement of `columns` (N, P)."""
-    # Columns of round-off, alone or beside others that explain them, are no directions of their own:
-    # noise would be projected out with them.
+    # Columns of round-off, alone or beside others that explain them, have no direction of their
+    # own: noise would be projected out with them.
     sizes = np.linalg.norm(columns, axis=0)
     nonzero_columns = columns[:, sizes > 1e-9 * sizes.max(initial=0.0)]
     basis, singular_values, _ = np.linalg.svd(
