@@ -90,14 +90,12 @@ class Limits:
         inner_share = 1.0 - _MARGIN
         q, dq, ddq = sample_one_period(motion)
         displacement = q - motion.offset
-        factor = inner_share * np.minimum.reduce(
-            [
-                np.full(robot.n, 1.0 / inner_share),
-                (self.upper - self.lower) / np.ptp(displacement, axis=0),
-                self.velocity / np.abs(dq).max(axis=0),
-                self.acceleration / np.abs(ddq).max(axis=0),
-            ]
-        )
+        position_factor = (self.upper - self.lower) / np.ptp(displacement, axis=0)
+        velocity_factor = self.velocity / np.abs(dq).max(axis=0)
+        acceleration_factor = self.acceleration / np.abs(ddq).max(axis=0)
+        unit_factor = np.full(robot.n, 1.0 / inner_share)  # no motion becomes larger
+        factors = [unit_factor, position_factor, velocity_factor, acceleration_factor]
+        factor = inner_share * np.minimum.reduce(factors)
         displacement = factor * displacement
         margin = 0.5 * _MARGIN * (self.upper - self.lower)
         offset = np.clip(
@@ -125,11 +123,10 @@ class Limits:
         exceeded_share = 1.0
         for _ in range(_HALVINGS):
             middle_share = 0.5 * (kept_share + exceeded_share)
-            kept_share, exceeded_share = (
-                (middle_share, exceeded_share)
-                if keeps_limits(middle_share)
-                else (kept_share, middle_share)
-            )
+            if keeps_limits(middle_share):
+                kept_share = middle_share
+            else:
+                exceeded_share = middle_share
         if kept_share == 0.0:
             raise FitError(
                 f"robot '{robot.description.name}': the limits allow no motion: gravity exceeds "

@@ -244,9 +244,9 @@ def random_fourier(
     a = standard_normal(seed, 2 * joints, counters)
     b = standard_normal(seed, 2 * joints + 1, counters)
     unscaled_motion = Fourier.from_rest(a, b, offset=offset, period=period, periods=periods)
-    scale = (np.asarray(peak_velocity) / np.abs(sample_one_period(unscaled_motion)[1]).max(axis=0))[
-        :, None
-    ]
+    _, dq, _ = sample_one_period(unscaled_motion)
+    joint_scales = np.asarray(peak_velocity) / np.abs(dq).max(axis=0)
+    scale = joint_scales[:, None]
     return replace(unscaled_motion, a=scale * unscaled_motion.a, b=scale * unscaled_motion.b)
 
 
