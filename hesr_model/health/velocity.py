@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -183,6 +184,37 @@ def _find_lag(v: Array, dq: Array, period: float) -> Estimate:
     return Estimate(value=lag, error=float(error))
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Velocities:
+    """Velocities of a part beside the derivatives of its positions.
+
+    Attributes
+    ----------
+    part : with all of its rows.
+    description : of the robot.
+    slides : (n,) whether each joint is prismatic.
+    v, dq : (N, n) derivatives and logged velocities of the measured rows [rad/s, m/s].
+    matches : of the joints that are judged, by index.
+    """
+
+    part: SmoothPart
+    description: RobotDescription
+    slides: Sequence[bool]
+    v: Array
+    dq: Array
+    matches: Mapping[int, VelocityMatch]
+
+    @cached_property
+    def left_out(self) -> LeftOutRows:
+        """Folds of the measured rows."""
+        return LeftOutRows.split([self.part.log.name], [self.part.t[self.part.is_measured]])
+
+    @cached_property
+    def column_of_joint(self) -> dict[int, int]:
+        """Column that follows the motion of each judged joint, if any; each serves one joint."""
+        return _match_columns(self.v, self.dq, np.array(list(self.matches), dtype=int))
+
+
 def check_velocity(
     part: SmoothPart,
     description: RobotDescription,
@@ -206,16 +238,15 @@ def check_velocity(
     rows = part.is_measured
     v = part.v[rows]
     dq = part.dq[rows]
-    left_out = LeftOutRows.split([part.log.name], [part.t[rows]])
     v_noise, dq_noise = part.estimate_speed_noise()
-    joints = np.array(
-        [j for j in np.flatnonzero(part.is_moving) if description.joints[j] not in excluded_joints]
-    )
     matches: dict[int, VelocityMatch] = {}
-    for j in joints:
-        noise = float(v_noise[j]), float(dq_noise[j])
-        matches[int(j)] = match_velocity(v[:, j], dq[:, j], part.period, noise)
-    column_of_joint = _match_columns(v, dq, joints)
+    for j in np.flatnonzero(part.is_moving):
+        if description.joints[j] not in excluded_joints:
+            noise = float(v_noise[j]), float(dq_noise[j])
+            matches[int(j)] = match_velocity(v[:, j], dq[:, j], part.period, noise)
+    velocities = _Velocities(
+        part=part, description=description, slides=slides, v=v, dq=dq, matches=matches
+    )
     for j, match in matches.items():
         joint = description.joints[j]
         mismatch = Statistic(
@@ -225,9 +256,9 @@ def check_velocity(
             errors=1.0,
         )
         if mismatch.outcome == "lost":
-            yield from _doubt_sign(description, j, matches, v, dq)
-            yield from _doubt_scale(description, j, matches, part, v, dq, slides)
-            yield from _doubt_lag(joint, j, match, part, v, dq)
+            yield from _doubt_sign(velocities, j)
+            yield from _doubt_scale(velocities, j)
+            yield from _doubt_lag(velocities, j)
         elif np.ptp(dq[:, j]) <= 1e-9 * np.max(np.abs(v[:, j])):
             yield Hypothesis(
                 check="velocity-constant",
@@ -237,9 +268,7 @@ def check_velocity(
                 changes={"log.columns.dq": ""},
             )
         else:
-            hypothesis = _doubt_column(
-                description, j, match, mismatch, column_of_joint, v, dq, left_out
-            )
+            hypothesis = _doubt_column(velocities, j, mismatch)
             if joint in coarse_joints:
                 # The derivative of a coarse position may contradict a good velocity.
                 hypothesis = replace(hypothesis, contradictions=("its position is coarse",))
@@ -264,18 +293,12 @@ def _match_columns(v: Array, dq: Array, joints: Integers) -> dict[int, int]:
     }
 
 
-def _doubt_column(
-    description: RobotDescription,
-    j: int,
-    match: VelocityMatch,
-    mismatch: Statistic,
-    column_of_joint: dict[int, int],
-    v: Array,
-    dq: Array,
-    left_out: LeftOutRows,
-) -> Hypothesis:
+def _doubt_column(velocities: _Velocities, j: int, mismatch: Statistic) -> Hypothesis:
     """Doubt that a column holds the velocity of a joint; another joint's column may."""
+    description = velocities.description
+    match = velocities.matches[j]
     joint = description.joints[j]
+    column_of_joint = velocities.column_of_joint
     other_joint = column_of_joint.get(j, j)
     observation = f"its velocity does not follow its position (correlation {match.correlation:.2f})"
     if other_joint != j:
@@ -283,8 +306,8 @@ def _doubt_column(
         ordered_columns = [columns[column_of_joint.get(k, k)] for k in range(len(columns))]
         race = Race(
             rival="its own column",
-            rival_squares=left_out.predict(dq[:, [j]], v[:, j]) ** 2,
-            squares=left_out.predict(dq[:, [other_joint]], v[:, j]) ** 2,
+            rival_squares=_predict_squares(velocities, j, column=j),
+            squares=_predict_squares(velocities, j, column=other_joint),
             min_gain=CURE_GAIN,
         )
         return Hypothesis(
@@ -309,20 +332,23 @@ def _doubt_column(
     )
 
 
-def _doubt_lag(
-    joint: str,
-    j: int,
-    match: VelocityMatch,
-    part: SmoothPart,
-    v: Array,
-    dq: Array,
-) -> Iterator[Hypothesis]:
+def _predict_squares(velocities: _Velocities, j: int, column: int) -> Array:
+    """Return squared errors (N,) of a joint's derivative by a column of velocity, on folds."""
+    dq = velocities.dq[:, [column]]
+    return np.asarray(velocities.left_out.predict(dq, velocities.v[:, j]) ** 2)
+
+
+def _doubt_lag(velocities: _Velocities, j: int) -> Iterator[Hypothesis]:
     """Doubt that a velocity is as early as its position."""
+    part = velocities.part
+    match = velocities.matches[j]
     resolution = max(_MIN_LAG_TO_SETTLING * part.settling, _MIN_LAG_TO_PERIOD * part.period)
     if abs(match.lag) <= resolution:
         return
+    v = velocities.v[:, j]
+    dq = velocities.dq[:, j]
     shift = round(match.lag / part.period)
-    shifted_dq = np.roll(dq[:, j], -shift)
+    shifted_dq = np.roll(dq, -shift)
     # Rows that the shift takes from the other end are no data.
     is_inside = np.ones(len(v), dtype=bool)
     if shift > 0:
@@ -330,14 +356,14 @@ def _doubt_lag(
     else:
         is_inside[:-shift] = False
     # One slope and offset for both: a shifted window may hold more motion, which fits by itself.
-    offset = float(np.mean(v[:, j] - match.slope * dq[:, j]))
-    rival_errors = v[:, j] - match.slope * dq[:, j] - offset
-    errors = v[:, j] - match.slope * shifted_dq - offset
+    offset = float(np.mean(v - match.slope * dq))
+    rival_errors = v - match.slope * dq - offset
+    errors = v - match.slope * shifted_dq - offset
     relative_lag = Estimate(value=abs(match.lag) / resolution, error=match.lag_error / resolution)
     direction = "late" if match.lag > 0 else "early"
     yield Hypothesis(
         check="velocity-lag",
-        joint=joint,
+        joint=velocities.description.joints[j],
         observation=f"its velocity is {abs(match.lag) * 1e3:.0f} ms {direction} relative to its "
         "position",
         remedy=f"it was filtered or comes from another clock; {_DERIVE_REMEDY}",
@@ -359,10 +385,10 @@ def _doubt_lag(
     )
 
 
-def _doubt_sign(
-    description: RobotDescription, j: int, matches: dict[int, VelocityMatch], v: Array, dq: Array
-) -> Iterator[Hypothesis]:
+def _doubt_sign(velocities: _Velocities, j: int) -> Iterator[Hypothesis]:
     """Doubt that a velocity and its position count in the same direction."""
+    description = velocities.description
+    matches = velocities.matches
     match = matches[j]
     if match.slope > 0.0:
         return
@@ -371,6 +397,8 @@ def _doubt_sign(
         if other_match.correlation < -_MIN_CORRELATION:
             units[k] = reverse_unit(units[k])
     scale = abs(match.slope)
+    v = velocities.v[:, j]
+    dq = velocities.dq[:, j]
     yield Hypothesis(
         check="velocity-sign",
         joint=description.joints[j],
@@ -379,8 +407,8 @@ def _doubt_sign(
         trials=(
             Race(
                 rival="its sign as it is",
-                rival_squares=(v[:, j] - scale * dq[:, j]) ** 2,
-                squares=(v[:, j] + scale * dq[:, j]) ** 2,
+                rival_squares=(v - scale * dq) ** 2,
+                squares=(v + scale * dq) ** 2,
                 min_gain=CURE_GAIN,
             ),
         ),
@@ -389,21 +417,13 @@ def _doubt_sign(
     )
 
 
-def _doubt_scale(
-    description: RobotDescription,
-    j: int,
-    matches: dict[int, VelocityMatch],
-    part: SmoothPart,
-    v: Array,
-    dq: Array,
-    slides: Sequence[bool],
-) -> Iterator[Hypothesis]:
+def _doubt_scale(velocities: _Velocities, j: int) -> Iterator[Hypothesis]:
     """Doubt that a velocity and its position have the units that the file states."""
-    match = matches[j]
+    match = velocities.matches[j]
     ratio = abs(match.slope)
     if abs(np.log(ratio)) < _MAX_SCALE_WARNING:
         return
-    cause, changes = _find_cause(description, j, matches, part, slides)
+    cause, changes = _find_cause(velocities, j)
     ratio_text = f"{ratio:.3g} times faster"
     if ratio <= 1:
         ratio_text = f"{1 / ratio:.3g} times slower"
@@ -411,9 +431,11 @@ def _doubt_scale(
     if abs(np.log(ratio)) > _MAX_SCALE_ERROR:
         severity = "error"
     sign = float(np.sign(match.slope))
+    v = velocities.v[:, j]
+    dq = velocities.dq[:, j]
     yield Hypothesis(
         check="velocity-scale",
-        joint=description.joints[j],
+        joint=velocities.description.joints[j],
         observation=f"q changes {ratio_text} than dq",
         remedy=cause,
         severity=severity,
@@ -426,8 +448,8 @@ def _doubt_scale(
             ),
             Race(
                 rival="its unit as it is",
-                rival_squares=(v[:, j] - sign * dq[:, j]) ** 2,
-                squares=(v[:, j] - match.slope * dq[:, j]) ** 2,
+                rival_squares=(v - sign * dq) ** 2,
+                squares=(v - match.slope * dq) ** 2,
             ),
         ),
         record=_TELLING_MOTION,
@@ -435,30 +457,27 @@ def _doubt_scale(
     )
 
 
-def _find_cause(
-    description: RobotDescription,
-    j: int,
-    matches: dict[int, VelocityMatch],
-    part: SmoothPart,
-    slides: Sequence[bool],
-) -> tuple[str, dict[str, object]]:
+def _find_cause(velocities: _Velocities, j: int) -> tuple[str, dict[str, object]]:
     """Return what explains the ratio of a position's change to its velocity, and its mend."""
+    description = velocities.description
+    matches = velocities.matches
+    is_prismatic = velocities.slides[j]
     ratio = abs(matches[j].slope)
     concerns_all = all(
         abs(np.log(abs(other.slope) / ratio)) < _FACTOR_TOLERANCE for other in matches.values()
     )
-    unit_cause = _find_joint_unit(description, j, ratio, part, slides, concerns_all=concerns_all)
+    unit_cause = _find_joint_unit(velocities, j, concerns_all=concerns_all)
     if unit_cause is not None:
         return unit_cause
-    if not slides[j]:
+    if not is_prismatic:
         motor_cause = _find_motor_unit(description, j, ratio)
         if motor_cause is not None:
             return motor_cause
     if concerns_all:
-        clock_cause = _find_clock(description.log.units, matches, part.log)
+        clock_cause = _find_clock(description.log.units, matches, velocities.part.log)
         if clock_cause is not None:
             return clock_cause
-    if slides[j]:
+    if is_prismatic:
         return _UNKNOWN_CAUSE, {}
     if len(matches) == 1 and max(ratio, 1.0 / ratio) < _MAX_RATE_FACTOR:
         # Of a single joint a gear and a wrong rate of the stamps are the same.
@@ -467,16 +486,12 @@ def _find_cause(
 
 
 def _find_joint_unit(
-    description: RobotDescription,
-    j: int,
-    ratio: float,
-    part: SmoothPart,
-    slides: Sequence[bool],
-    *,
-    concerns_all: bool,
+    velocities: _Velocities, j: int, *, concerns_all: bool
 ) -> tuple[str, dict[str, object]] | None:
-    """Return the unit of the position or velocity of a joint that explains a ratio."""
-    units = description.log.units
+    """Return the unit of the position or velocity of a joint that explains their ratio."""
+    ratio = abs(velocities.matches[j].slope)
+    slides = velocities.slides
+    units = velocities.description.log.units
     known_units = PRISMATIC_UNITS if slides[j] else REVOLUTE_UNITS
     # Sliding and rotary joints have different units.
     is_corrected = [
@@ -485,7 +500,7 @@ def _find_joint_unit(
     # q' = q f scales the derivative of the position by f, dq' = dq f the logged velocity.
     needed_factors = {"dq": ratio, "q": 1.0 / ratio}
     quantities = ["dq", "q"]
-    if np.max(np.ptp(part.q, axis=0)) > _MAX_ARM_TRAVEL:
+    if np.max(np.ptp(velocities.part.q, axis=0)) > _MAX_ARM_TRAVEL:
         quantities = ["q", "dq"]  # the position is the likelier one
     for quantity in quantities:
         declared_factor = float(units.factors(quantity, len(slides))[j])
