@@ -79,7 +79,7 @@ class SmoothPart:
         is_inner = (self.t >= self.t[0] + self.settling) & (self.t <= self.t[-1] - self.settling)
         if np.count_nonzero(is_inner) <= _MIN_INNER_ROWS:
             return np.ones_like(is_inner)
-        return is_inner
+        return np.asarray(is_inner)
 
     def estimate_speed_noise(self) -> tuple[Array, Array]:
         """Return what white noise adds to `v` and to `dq` (n,), as standard deviations."""

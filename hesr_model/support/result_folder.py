@@ -307,7 +307,7 @@ def read_list(folder: OpenFolder) -> dict[str, str] | None:
         return None
     try:
         data = json.loads(folder.read_file(LIST, _MAX_LIST_SIZE))
-        hashes = data["files"]
+        hashes: dict[str, str] = data["files"]
         is_signed = hmac.compare_digest(str(data["signature"]).encode(), _sign(hashes).encode())
     except (ValueError, KeyError, TypeError, RecursionError):
         return None

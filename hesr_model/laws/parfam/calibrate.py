@@ -129,7 +129,7 @@ def _settling_rate(features: HysteresisFeatures, courses: list[Array]) -> float:
 def _cubic_features(features: Array) -> Array:
     """Return (N, 20) monomials of degree <= 3 of the standardised features."""
     x = features[:, 1:] / np.maximum(features[:, 1:].std(axis=0), 1e-12)
-    monomials = [np.ones(len(x))]
+    monomials: list[Array] = [np.ones(len(x))]
     for degree in (1, 2, 3):
-        monomials += map(prod, combinations_with_replacement(x.T, degree))
+        monomials += [prod(factors) for factors in combinations_with_replacement(x.T, degree)]
     return np.stack(monomials, axis=1)
