@@ -279,7 +279,11 @@ class _Proof:
         viscous_bound = curve.find_viscous_bound()
         self.conditions.append(f"f(v) >= {viscous_bound:.3g} N.m.s/rad at all speeds")
         if damping > 0.0:
-            share = curve.find_share(lambda v: np.full_like(v, damping))
+
+            def require_damping(speeds: Array) -> Array:
+                return np.full_like(speeds, damping)
+
+            share = curve.find_share(require_damping)
             _require(
                 share >= 1.0 - _RELATIVE_ROUND_OFF,
                 f"Barabanov and Ortega require {damping:.3g} N.m.s/rad of viscous friction, "
@@ -317,9 +321,10 @@ class _Proof:
         groups = [(_combine_amplitudes(group), *shape) for shape, group in amplitudes.items()]
 
         def find_margin(step: float) -> float:
-            return curve.find_share(
-                lambda v: damping + _compute_required_viscosity(groups, step, v)
-            )
+            def require_viscosity(speeds: Array) -> Array:
+                return damping + _compute_required_viscosity(groups, step, speeds)
+
+            return curve.find_share(require_viscosity)
 
         def fails(step: float) -> bool:
             return find_margin(step) < 1.0 - 1e-6
@@ -407,10 +412,12 @@ class _SteadyTorque:
         unbounded = "the torque of steady motion has no sufficient bound at all speeds"
         _require(size < inf, unbounded)
         self.slack = _RELATIVE_ROUND_OFF * size
+
+        def bound_torque(r: Array, p: Array, a: Array, b: Array) -> Array:
+            return r + np.where(p >= 0.0, p * a, p * b)
+
         self.offset = 0.0
-        forward_minimum, backward_minimum = self._find_minima(
-            lambda r, p, a, b: r + np.where(p >= 0.0, p * a, p * b)
-        )
+        forward_minimum, backward_minimum = self._find_minima(bound_torque)
         drop = -forward_minimum.value - backward_minimum.value
         forward_speed = max(forward_minimum.minimiser, _REST_SPEED)
         backward_speed = max(backward_minimum.minimiser, _REST_SPEED)
@@ -430,7 +437,11 @@ class _SteadyTorque:
 
     def find_viscous_bound(self) -> float:
         """Return a lower bound >= 0 of f [N.m.s/rad]."""
-        minima = self._find_minima(lambda r, p, a, b: self._bound_viscous(r, p, a, b, 0.0))
+
+        def bound_viscous(r: Array, p: Array, a: Array, b: Array) -> Array:
+            return self._bound_viscous(r, p, a, b, 0.0)
+
+        minima = self._find_minima(bound_viscous)
         lowest_viscous = min(minimum.value for minimum in minima)
         bound = min(minimum.bound for minimum in minima)
         _require(

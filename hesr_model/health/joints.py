@@ -146,7 +146,8 @@ def remove_joints(
             changes[key] = _select_entries(entries, description.joints, locked)
     for key in ("springs", "balancers"):
         changes[key] = _remove_names(getattr(description, key), locked)
-    changes["known"] = description.known and _remove_parameters(description.known, locked)
+    if description.known is not None:
+        changes["known"] = _remove_parameters(description.known, locked)
     changes["locked"] = {**description.locked, **locked}
     changes["scale.inertia_added"] = {
         log: _remove_keys(inertias, locked)

@@ -29,9 +29,9 @@ def check_signs(
         tau = part.tau[:, j]
         resting_speed = part.find_resting_speed(int(j))
         v = part.v[:, j]
-        moves_both_ways = v.min() < -resting_speed and v.max() > resting_speed
+        reverses = v.min() < -resting_speed and v.max() > resting_speed
         lowest, highest = np.quantile(tau, _SIGN_QUANTILES)  # noise may pass 0
-        if not moves_both_ways or lowest < 0.0 < highest:
+        if not reverses or lowest < 0.0 < highest:
             continue
         size = np.abs(tau)
         # How fast friction reverses is unknown, and a size shows little else of Coulomb friction.

@@ -86,10 +86,12 @@ def _doubt_unit_of_time(period: float, description: RobotDescription) -> Hypothe
         for unit, factor in COMMON_UNITS["t"].items()
         if is_plausible_period(period / declared_factor * factor)
     ]
+
+    def measure_distance(unit: str) -> float:
+        return abs(float(np.log(period / declared_factor * COMMON_UNITS["t"][unit] * 200.0)))
+
     # Of several possible units, prefer the one with a rate closest to 200 Hz.
-    plausible_units.sort(
-        key=lambda unit: abs(np.log(period / declared_factor * COMMON_UNITS["t"][unit] * 200.0))
-    )
+    plausible_units.sort(key=measure_distance)
     remedy = "the unit of time is wrong; see [log.units] t"
     changes: dict[str, object] = {}
     if plausible_units:
