@@ -245,8 +245,8 @@ def _long(argument: object) -> object:
 
 
 def _control(*arguments: object) -> None:
-    padded = [*map(_long, arguments), *[ctypes.c_long(0)] * (5 - len(arguments))]
-    if _library().prctl(*padded) != 0:
+    padded = [*arguments, 0, 0, 0, 0, 0][:5]  # prctl reads five
+    if _library().prctl(*map(_long, padded)) != 0:
         raise _build_error()
 
 

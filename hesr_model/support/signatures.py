@@ -93,15 +93,18 @@ def _describe_union(kinds: tuple[Any, ...]) -> str:
     remaining = list(kinds)
     words = []
     array_kinds = get_args(ArrayLike) or (ArrayLike,)  # an alias from NumPy 2.5 on
-    for whole, word in ((array_kinds, "array"), ((str, PathLike[str]), "path")):
-        if all(kind in remaining for kind in whole):
-            remaining = [kind for kind in remaining if kind not in whole]
+    for parts, word in ((array_kinds, "array"), ((str, PathLike[str]), "path")):
+        if all(kind in remaining for kind in parts):
+            remaining = [kind for kind in remaining if kind not in parts]
             words.append(word)
     described = [describe_type(kind) for kind in remaining]
-    named = [word for word in described if word != "None"]
-    if "Robot" in named:  # its description is a robot, too
-        named.remove("RobotDescription")
-    return " | ".join(dict.fromkeys(named + words + ["None"] * ("None" in described)))
+    names = [word for word in described if word != "None"]
+    if "Robot" in names:  # its description is a robot, too
+        names.remove("RobotDescription")
+    names += words
+    if "None" in described:
+        names.append("None")
+    return " | ".join(dict.fromkeys(names))
 
 
 class _Words(str):
@@ -119,14 +122,18 @@ class _Parameter(inspect.Parameter):
     def __str__(self) -> str:
         if self.kind is self.VAR_KEYWORD:
             return f"**{self.name}"
-        text = f"*{self.name}" if self.kind is self.VAR_POSITIONAL else self.name
+        text = self.name
+        if self.kind is self.VAR_POSITIONAL:
+            text = f"*{text}"
         if self.annotation is not self.empty:
             text += f": {describe_type(self.annotation)}"
         if self.default is self.empty:
             return text
-        # A function, or a default that a data class makes for each object, has no short text.
         default = repr(self.default)
-        return f"{text} = {'...' if default.startswith('<') else default}"
+        if default.startswith("<"):
+            # A function, or a default that a data class makes for each object, has no short text.
+            default = "..."
+        return f"{text} = {default}"
 
 
 class _Signature(inspect.Signature):
