@@ -240,10 +240,10 @@ def check_velocity(
     dq = part.dq[rows]
     v_noise, dq_noise = part.estimate_speed_noise()
     matches: dict[int, VelocityMatch] = {}
-    for j in np.flatnonzero(part.is_moving):
-        if description.joints[j] not in excluded_joints:
+    for j, joint in enumerate(description.joints):
+        if part.is_moving[j] and joint not in excluded_joints:
             noise = float(v_noise[j]), float(dq_noise[j])
-            matches[int(j)] = match_velocity(v[:, j], dq[:, j], part.period, noise)
+            matches[j] = match_velocity(v[:, j], dq[:, j], part.period, noise)
     velocities = _Velocities(
         part=part, description=description, slides=slides, v=v, dq=dq, matches=matches
     )
