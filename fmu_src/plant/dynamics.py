@@ -7,7 +7,7 @@ ten parameters of a link remain; `table` gives them as a linear map of the robot
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from hesr_model.support.arrays import Array
 
 # Deviation of a direction cosine from 0 or 1 that is the rounding of an angle.
 _ROUNDING_TOLERANCE = 5e-12
+_ENTRY_TOLERANCE = 1e-15  # entries of `table` below this count as zero
 _TENSOR = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])  # of xx, xy, yy, xz, yz, zz
 _ENTRIES = (0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)  # rows and columns of these
 _MASS = 0
@@ -42,15 +43,19 @@ def _align_links(tree: Sequence[JointFrame]) -> tuple[list[_Link], list[Array]]:
     turns = [_to_axis(joint.axis) for joint in tree]
     links = []
     for joint, turn in zip(tree, turns, strict=True):
-        before = np.eye(3) if joint.parent < 0 else turns[joint.parent]
-        rotation = _round_exact(before.T @ joint.rotation @ turn)
-        links.append(_Link(joint.parent, joint.prismatic, rotation, before.T @ joint.translation))
+        parent_turn = np.eye(3)
+        if joint.parent >= 0:
+            parent_turn = turns[joint.parent]
+        rotation = _round_exact(parent_turn.T @ joint.rotation @ turn)
+        translation = parent_turn.T @ joint.translation
+        links.append(_Link(joint.parent, joint.prismatic, rotation, translation))
     return links, turns
 
 
 def _to_axis(axis: Array) -> Array:
     """Return a rotation whose third column is the axis, of zeros and ones where possible."""
     z = _round_exact(axis / np.linalg.norm(axis))
+    # The axis of the frame that is farthest from z: its part across z cannot vanish.
     x = np.zeros(3)
     x[int(np.argmin(np.abs(z)))] = 1.0
     x -= (x @ z) * z
@@ -94,15 +99,19 @@ def table(robot: Robot) -> Array:
     for i, turn in enumerate(turns):
         columns = [transform_parameters(basis, turn.T, np.zeros(3)) for basis in unit]
         regrouping[blocks[i], blocks[i]] = np.column_stack(columns)
+    # From the tips to the base: a link has received the parts of its children before it gives.
     for i in reversed(range(count)):
         link = links[i]
-        part = _map_to_parent(links[i])
-        pose = link.rotation, link.translation
+        part = _map_to_parent(link)
         if link.parent >= 0:
-            to_parent = np.column_stack([transform_parameters(basis, *pose) for basis in unit])
+            columns = [
+                transform_parameters(basis, link.rotation, link.translation) for basis in unit
+            ]
+            to_parent = np.column_stack(columns)
             regrouping[blocks[link.parent]] += to_parent @ part @ regrouping[blocks[i]]
         regrouping[blocks[i]] -= part @ regrouping[blocks[i]]
-    return np.where(np.abs(regrouping) < 1e-15, 0.0, regrouping)
+    # Round-off of entries that cancel; each one left costs a term in the binary.
+    return np.where(np.abs(regrouping) < _ENTRY_TOLERANCE, 0.0, regrouping)
 
 
 Vector = NDArray[np.object_]  # of expressions
@@ -112,9 +121,14 @@ def _sum(graph: Expressions, terms: Iterable[Expression]) -> Expression:
     return sum(terms, graph.constant(0.0))
 
 
+def _constants(graph: Expressions, values: Array) -> Vector:
+    return np.array([graph.constant(float(x)) for x in values])
+
+
 def _spin(w: Vector, turn: Vector) -> Vector:
     """Return the matrix of turn x + w x (w x ..)."""
-    (x, y, z), (p, q, r) = w, turn
+    x, y, z = w
+    p, q, r = turn
     return np.array(
         [
             [-(y * y + z * z), x * y - r, x * z + q],
@@ -126,14 +140,14 @@ def _spin(w: Vector, turn: Vector) -> Vector:
 
 def _gyro(inertia: Vector, w: Vector, turn: Vector) -> Vector:
     """Return inertia turn + w x (inertia w), with the products of `_spin`."""
-    (x, y, z), (p, q, r), (xx, xy, yy, xz, yz, zz) = w, turn, inertia
+    x, y, z = w
+    p, q, r = turn
+    xx, xy, yy, xz, yz, zz = inertia
     (_, s01, s02), (s10, _, s12), (s20, s21, _) = _spin(w, turn)
-    moment = (
-        xx * p + (zz - yy) * (y * z) - xy * s20 + xz * s10 + yz * (y * y - z * z),
-        yy * q + (xx - zz) * (x * z) + xy * s21 - yz * s01 + xz * (z * z - x * x),
-        zz * r + (yy - xx) * (x * y) - xz * s12 + yz * s02 + xy * (x * x - y * y),
-    )
-    return np.array(moment)
+    moment_x = xx * p + (zz - yy) * (y * z) - xy * s20 + xz * s10 + yz * (y * y - z * z)
+    moment_y = yy * q + (xx - zz) * (x * z) + xy * s21 - yz * s01 + xz * (z * z - x * x)
+    moment_z = zz * r + (yy - xx) * (x * y) - xz * s12 + yz * s02 + xy * (x * x - y * y)
+    return np.array([moment_x, moment_y, moment_z])
 
 
 class _Joint:
@@ -143,11 +157,20 @@ class _Joint:
         self.link = link
         unity = graph.constant(1.0)
         zero = graph.constant(0.0)
-        self.cosine = unity if link.prismatic else graph.name(f"cosine[{number}]")
-        self.sine = zero if link.prismatic else graph.name(f"sine[{number}]")
-        self.arm = np.array([graph.constant(float(x)) for x in link.translation])
+        if link.prismatic:
+            self.cosine = unity
+            self.sine = zero
+        else:
+            self.cosine = graph.name(f"cosine[{number}]")
+            self.sine = graph.name(f"sine[{number}]")
+        self.arm = _constants(graph, link.translation)
         if link.prismatic:
             self.arm = self.arm + link.rotation @ np.array([zero, zero, q])
+
+    def axial_part(self, force: Vector, moment: Vector) -> Expression:
+        """Return what the joint feels of a force and a moment in its frame."""
+        axial: Expression = force[2] if self.link.prismatic else moment[2]
+        return axial
 
     def to_parent(self, a: Vector) -> Vector:
         """Turn a vector to the parent's frame."""
@@ -169,12 +192,32 @@ class _Joint:
         c = self.cosine
         s = self.sine
         xx, xy, yy, xz, yz, zz = t
-        x2 = c * c * xx - 2.0 * (c * s) * xy + s * s * yy
-        turned = [x2, c * s * (xx - yy) + (c * c - s * s) * xy, xx + yy - x2]
-        turned += [c * xz - s * yz, s * xz + c * yz, zz]
-        half = np.array(turned)[_TENSOR] @ self.link.rotation.T
+        turned_xx = c * c * xx - 2.0 * (c * s) * xy + s * s * yy
+        turned_xy = c * s * (xx - yy) + (c * c - s * s) * xy
+        # A turn about z leaves the sum xx + yy.
+        turned_yy = xx + yy - turned_xx
+        turned_xz = c * xz - s * yz
+        turned_yz = s * xz + c * yz
+        turned = np.array([turned_xx, turned_xy, turned_yy, turned_xz, turned_yz, zz])
+        half = turned[_TENSOR] @ self.link.rotation.T
         tensor: Vector = half.T @ self.link.rotation.T
         return tensor[_ENTRIES]
+
+
+class _Motion(NamedTuple):
+    """Motion of a link in its frame: angular velocity and acceleration; acceleration."""
+
+    w: Vector
+    turn: Vector
+    a: Vector
+
+
+class _Body(NamedTuple):
+    """Mass, first moments (3,) and inertia (6,) about the origin of a link's frame."""
+
+    m: Expression
+    h: Vector
+    inertia: Vector
 
 
 class _Arm:
@@ -185,15 +228,17 @@ class _Arm:
         self.graph = Expressions()
         self.links, _ = _align_links(robot.tree)
         slopes, self.offsets = robot.follow or (np.eye(robot.n), np.zeros(robot.n))
-        coupling = None if of_joints else robot.description.coupling
-        self.mixing = np.eye(robot.n) if coupling is None else np.linalg.inv(coupling.forward)
+        self.mixing = np.eye(robot.n)
+        coupling = robot.description.coupling
+        if coupling is not None and not of_joints:
+            self.mixing = np.linalg.inv(coupling.forward)
         self.slopes = slopes @ self.mixing
+        # Parameters without an entry in the table vanish from the statements.
         used_rows = np.any(table(robot) != 0.0, axis=1)
-        zero = self.graph.constant(0.0)
-        parameters = [
-            self.graph.name(f"p[{k}]") if is_used else zero for k, is_used in enumerate(used_rows)
-        ]
-        self.parameters = np.array(parameters).reshape(-1, 10)
+        parameters = np.full(len(used_rows), self.graph.constant(0.0))
+        for k in np.flatnonzero(used_rows):
+            parameters[k] = self.graph.name(f"p[{k}]")
+        self.parameters = parameters.reshape(-1, 10)
         self.joints = [
             _Joint(link, i, self.graph, self.express_motion("q", i))
             for i, link in enumerate(self.links)
@@ -203,7 +248,10 @@ class _Arm:
         """Return the position or speed of a link's joint."""
         names = (self.graph.name(f"{motion}[{j}]") for j in range(self.robot.n))
         terms = (x * float(f) for x, f in zip(names, self.slopes[link], strict=True))
-        return _sum(self.graph, terms) + (float(self.offsets[link]) if motion == "q" else 0.0)
+        expression = _sum(self.graph, terms)
+        if motion == "q":
+            return expression + float(self.offsets[link])
+        return expression
 
     def print_changes(self, stores: Mapping[str, Expression]) -> str:
         """Return C statements that store changes of expressions along tq, tdq, tp and so on."""
@@ -221,44 +269,59 @@ class _Arm:
         pairs = zip(links, self.slopes[:, column], strict=True)
         return _sum(self.graph, (x * float(f) for x, f in pairs))
 
-    def torques(self, *, accelerated: bool = False) -> list[Expression]:
-        """Return the torques on all coordinates, without rotors, by Newton and Euler."""
-        graph = self.graph
-        zero = graph.constant(0.0)
-        zeros = np.full(3, zero)
-        base = (zeros, zeros, np.array([-graph.name(f"gravity[{k}]") for k in range(3)]))
-        states: list[tuple[Vector, Vector, Vector]] = []
-        forces = []
-        moments = []
-        for i, joint in enumerate(self.joints):
-            w, turn, a = states[joint.link.parent] if joint.link.parent >= 0 else base
-            carried = _spin(w, turn) @ joint.arm
-            w, turn, a = (
-                joint.from_parent(w),
-                joint.from_parent(turn),
-                joint.from_parent(a + carried),
-            )
-            dq = self.express_motion("dq", i)
-            ddq = np.array([zero, zero, self.express_motion("ddq", i) if accelerated else zero])
-            across = np.array([w[1] * dq, -(w[0] * dq), zero])  # w x z dq
-            if joint.link.prismatic:
-                a = a + across * 2.0 + ddq
-            else:
-                turn = turn + across + ddq
-                w = np.array([w[0], w[1], w[2] + dq])
-            states.append((w, turn, a))
-            m, h, inertia = self._body(i)
-            forces.append(a * m + _spin(w, turn) @ h)
-            moments.append(_gyro(inertia, w, turn) + np.cross(h, a))
-        links = self._collect_torques(forces, moments) + self.spring_torques()
+    def project_torques(self, links: Sequence[Expression]) -> list[Expression]:
+        """Return torques of all links' joints on all coordinates."""
         return [self.project_torque(links, j) for j in range(self.robot.n)]
 
+    def torques(self, *, accelerated: bool = False) -> list[Expression]:
+        """Return the torques on all coordinates, without rotors, by Newton and Euler."""
+        zero = self.graph.constant(0.0)
+        zeros = np.full(3, zero)
+        # Gravity enters as an acceleration of the base, upwards.
+        upwards = np.array([-self.graph.name(f"gravity[{k}]") for k in range(3)])
+        base = _Motion(zeros, zeros, upwards)
+        motions: list[_Motion] = []
+        forces = []
+        moments = []
+        # From the base to the tips: each link moves with its parent, and about or along its axis.
+        for i, joint in enumerate(self.joints):
+            parent = base
+            if joint.link.parent >= 0:
+                parent = motions[joint.link.parent]
+            motion = self._move_link(i, parent, accelerated=accelerated)
+            motions.append(motion)
+            m, h, inertia = self._body(i)
+            forces.append(motion.a * m + _spin(motion.w, motion.turn) @ h)
+            moments.append(_gyro(inertia, motion.w, motion.turn) + np.cross(h, motion.a))
+        links = self._collect_torques(forces, moments) + self.spring_torques()
+        return self.project_torques(links)
+
+    def _move_link(self, link: int, parent: _Motion, *, accelerated: bool) -> _Motion:
+        """Return the motion of a link in its frame, from that of its parent in the parent's."""
+        joint = self.joints[link]
+        zero = self.graph.constant(0.0)
+        carried = _spin(parent.w, parent.turn) @ joint.arm
+        w = joint.from_parent(parent.w)
+        turn = joint.from_parent(parent.turn)
+        a = joint.from_parent(parent.a + carried)
+        dq = self.express_motion("dq", link)
+        ddq = np.full(3, zero)
+        if accelerated:
+            ddq[2] = self.express_motion("ddq", link)
+        across = np.array([w[1] * dq, -(w[0] * dq), zero])  # w x z dq
+        if joint.link.prismatic:
+            # Coriolis: twice w x z dq.
+            return _Motion(w, turn, a + across * 2.0 + ddq)
+        turn = turn + across + ddq
+        return _Motion(np.array([w[0], w[1], w[2] + dq]), turn, a)
+
     def _collect_torques(self, forces: list[Vector], moments: list[Vector]) -> Vector:
+        """Return the torques of all links' joints, from the tips to the base."""
         torques = []
         for joint in reversed(self.joints):
             force = forces.pop()
             moment = moments.pop()
-            torques.append(force[2] if joint.link.prismatic else moment[2])
+            torques.append(joint.axial_part(force, moment))
             parent = joint.link.parent
             if parent >= 0:
                 parent_force = joint.to_parent(force)
@@ -278,14 +341,18 @@ class _Arm:
             s = self.joints[link].sine
             unity = self.graph.constant(1.0)
             zero = self.graph.constant(0.0)
-            shapes = ((unity, zero), (c, s), (c * c - s * s, 2.0 * (s * c)))[term.harmonic]
-            shape = self.express_motion("q", link) if term.linear else shapes[term.sine]
+            # Cosine and sine of 0, 1 and 2 times the angle.
+            shapes = ((unity, zero), (c, s), (c * c - s * s, 2.0 * (s * c)))
+            if term.linear:
+                shape = self.express_motion("q", link)
+            else:
+                shape = shapes[term.harmonic][term.sine]
             torques[link] = torques[link] + self.graph.name(f"spring[{number}]") * shape
         return torques
 
-    def _body(self, link: int) -> tuple[Expression, Vector, Vector]:
+    def _body(self, link: int) -> _Body:
         parameters = self.parameters[link]
-        return parameters[_MASS], parameters[_FIRST_MOMENTS], parameters[_INERTIA]
+        return _Body(parameters[_MASS], parameters[_FIRST_MOMENTS], parameters[_INERTIA])
 
     def mass_matrix(self) -> list[list[Expression]]:
         """Return the mass matrix of all links' joints, by composite bodies."""
@@ -293,50 +360,53 @@ class _Arm:
         count = len(self.links)
         bodies = [self._body(i) for i in range(count)]
         matrix = [[zero] * count for _ in range(count)]
+        # From the tips to the base: `bodies[i]` has everything that joint i carries.
         for i in reversed(range(count)):
             m, h, inertia = bodies[i]
             link = self.links[i]
-            force = np.array([zero, zero, m] if link.prismatic else [-h[1], h[0], zero])
-            moment = np.array([h[1], -h[0], zero]) if link.prismatic else inertia[3:]
+            # Force and moment of a unit acceleration of the joint.
+            if link.prismatic:
+                force = np.array([zero, zero, m])
+                moment = np.array([h[1], -h[0], zero])
+            else:
+                force = np.array([-h[1], h[0], zero])
+                moment = inertia[3:]
             ancestor = i
             while ancestor >= 0:
-                value = force[2] if self.links[ancestor].prismatic else moment[2]
-                matrix[i][ancestor] = matrix[ancestor][i] = value
                 joint = self.joints[ancestor]
+                matrix[i][ancestor] = matrix[ancestor][i] = joint.axial_part(force, moment)
                 force = joint.to_parent(force)
                 moment = joint.to_parent(moment) + np.cross(joint.arm, force)
-                ancestor = self.links[ancestor].parent
+                ancestor = joint.link.parent
             if link.parent >= 0:
-                bodies[link.parent] = self._join_bodies(
-                    bodies[link.parent], bodies[i], self.joints[i]
-                )
+                bodies[link.parent] = _join_bodies(bodies[link.parent], bodies[i], self.joints[i])
         return matrix
 
-    def _join_bodies(
-        self, body: Any, child: Any, joint: _Joint
-    ) -> tuple[Expression, Vector, Vector]:
-        (m, h, inertia), (child_mass, first, tensor) = body, child
-        t, first = joint.arm, joint.to_parent(first)
-        half = first + t * (child_mass * 0.5)  # of both terms with t
-        inner = 2.0 * (half @ t)
-        pairs = zip(*_ENTRIES, strict=True)
-        shift = [(inner if i == j else 0.0) - (half[i] * t[j] + t[i] * half[j]) for i, j in pairs]
-        moved_up = joint.tensor_to_parent(tensor) + shift
-        return m + child_mass, h + (first + t * child_mass), inertia + moved_up
+
+def _join_bodies(body: _Body, child: _Body, joint: _Joint) -> _Body:
+    """Return a body together with that of a child, whose joint is given."""
+    t = joint.arm
+    h = joint.to_parent(child.h)
+    half = h + t * (child.m * 0.5)  # of both terms with t
+    inner = 2.0 * (half @ t)
+    shift = []
+    for i, j in zip(*_ENTRIES, strict=True):
+        diagonal = inner if i == j else 0.0
+        shift.append(diagonal - (half[i] * t[j] + t[i] * half[j]))
+    inertia = joint.tensor_to_parent(child.inertia) + shift
+    return _Body(body.m + child.m, body.h + (h + t * child.m), body.inertia + inertia)
 
 
 def change_header(robot: Robot) -> str:
     """Return change.h: the change of M ddq + bias along motions and parameters, ddq held."""
     arm = _Arm(robot, of_joints=False)
     ddq = [arm.graph.name(f"ddq[{j}]") for j in range(robot.n)]
-    stores = {
-        f"change[{i}]": torque
-        + _sum(arm.graph, (_rotors(arm, i, j) * a for j, a in enumerate(ddq)))
-        for i, torque in enumerate(arm.torques(accelerated=True))
-    }
-    return _file(
-        "CHANGE", _CHANGE.format(angles=_angles(arm), statements=arm.print_changes(stores))
-    )
+    stores = {}
+    for i, torque in enumerate(arm.torques(accelerated=True)):
+        rotor_terms = (_rotors(arm, i, j) * a for j, a in enumerate(ddq))
+        stores[f"change[{i}]"] = torque + _sum(arm.graph, rotor_terms)
+    angles = _angles(arm)
+    return _file("CHANGE", _CHANGE.format(angles=angles, statements=arm.print_changes(stores)))
 
 
 def dynamics_header(robot: Robot, *, of_joints: bool = False, width: str = "JOINTS") -> str:
@@ -346,27 +416,26 @@ def dynamics_header(robot: Robot, *, of_joints: bool = False, width: str = "JOIN
     matrix are `width` apart.
     """
     arm = _Arm(robot, of_joints=of_joints)
-    n = range(robot.n)
     torques = arm.torques()
     mass = arm.mass_matrix()
-    half = [[arm.project_torque(row, j) for j in n] for row in mass]  # M G
+    # With the slopes G of the links' joints over the coordinates: first M G, then G^T M G.
+    mass_slopes = [arm.project_torques(row) for row in mass]
     stores = {f"bias[{i}]": torque for i, torque in enumerate(torques)}
-    for i in n:
+    for i in range(robot.n):
         for j in range(i + 1):
-            links = arm.project_torque([row[j] for row in half], i)
+            links = arm.project_torque([row[j] for row in mass_slopes], i)
             stores[f"mass[{i}][{j}]"] = stores[f"mass[{j}][{i}]"] = links + _rotors(arm, i, j)
     entries = table(robot)
-    rows, columns = np.nonzero(entries)
+    entry_rows = []
+    for i, j in np.argwhere(entries):
+        entry_rows.append(f"    {{{i}, {j}, {literal(float(entries[i, j]))}}},")
     return _HEADER.format(
         links=len(arm.links),
         width=width,
         last=_find_last_link(robot),
         angles=_angles(arm),
         statements=arm.graph.to_c(stores),
-        entries="\n".join(
-            f"    {{{i}, {j}, {literal(float(entries[i, j]))}}},"
-            for i, j in zip(rows, columns, strict=True)
-        ),
+        entries="\n".join(entry_rows),
     )
 
 
@@ -410,23 +479,25 @@ def jacobian_header(robot: Robot) -> str:
     while link >= 0:
         joint = arm.joints[link]
         axis = np.array([zero, zero, unity])
-        slides = joint.link.prismatic
-        linear = axis if slides else np.array([-tip[1], tip[0], zero])
-        angular = np.full(3, zero) if slides else axis
-        tip, ancestor = joint.arm + joint.to_parent(tip), link
+        if joint.link.prismatic:
+            linear = axis
+            angular = np.full(3, zero)
+        else:
+            linear = np.array([-tip[1], tip[0], zero])  # z x tip
+            angular = axis
+        tip = joint.arm + joint.to_parent(tip)
+        ancestor = link
         while ancestor >= 0:
-            linear, angular = (
-                arm.joints[ancestor].to_parent(linear),
-                arm.joints[ancestor].to_parent(angular),
-            )
+            linear = arm.joints[ancestor].to_parent(linear)
+            angular = arm.joints[ancestor].to_parent(angular)
             ancestor = arm.links[ancestor].parent
         columns[link] = [*linear, *angular]
         link = joint.link.parent
-    stores = {
-        f"jacobian[{k}][{j}]": arm.project_torque([column[k] for column in columns], j)
-        for k in range(6)
-        for j in range(robot.n)
-    }
+    stores = {}
+    for k in range(6):
+        row = [column[k] for column in columns]
+        for j in range(robot.n):
+            stores[f"jacobian[{k}][{j}]"] = arm.project_torque(row, j)
     statements = arm.graph.to_c(stores)
     return _file("JACOBIAN", _JACOBIAN.format(angles=_angles(arm), statements=statements))
 
@@ -445,22 +516,27 @@ def tool_header(robot: Robot, place: int | None) -> str:
     zero = arm.graph.constant(0.0)
     link = _find_last_link(robot)
     origin = np.full(3, zero)
-    turn = _align_links(robot.tree)[1][link]
-    axes = [np.array([arm.graph.constant(x) for x in row]) for row in turn.tolist()]
+    _, turns = _align_links(robot.tree)
+    # Rows of the turn to the robot's frame are the axes of that frame.
+    axes = [_constants(arm.graph, row) for row in turns[link]]
     while link >= 0:
         joint = arm.joints[link]
-        origin, axes = joint.arm + joint.to_parent(origin), [joint.to_parent(axis) for axis in axes]
+        origin = joint.arm + joint.to_parent(origin)
+        axes = [joint.to_parent(axis) for axis in axes]
         link = joint.link.parent
-    pose = enumerate([*origin, *(axes[c][r] for r in range(3) for c in range(3))], place)
-    stores = {f"v[{k}]": value for k, value in pose}
-    code = {"statements": arm.graph.to_c(stores), "changes": arm.print_changes(stores)}
-    return _file("TOOL", _TOOL.format(angles=_angles(arm), **code))
+    pose = [*origin, *np.column_stack(axes).ravel()]
+    stores = {f"v[{k}]": value for k, value in enumerate(pose, place)}
+    statements = arm.graph.to_c(stores)
+    changes = arm.print_changes(stores)
+    return _file("TOOL", _TOOL.format(angles=_angles(arm), statements=statements, changes=changes))
 
 
 def _rotors(arm: _Arm, i: int, j: int) -> Expression:
     """Return an entry of the rotors' mass matrix."""
-    motor_coupling = arm.robot.description.motors
-    turns = (np.eye(arm.robot.n) if motor_coupling is None else motor_coupling.forward) @ arm.mixing
+    motor_angles = np.eye(arm.robot.n)
+    if arm.robot.description.motors is not None:
+        motor_angles = arm.robot.description.motors.forward
+    turns = motor_angles @ arm.mixing
     inertia = (arm.graph.name(f"rotor[{k}]") for k in range(arm.robot.n))
     pairs = zip(inertia, _round_exact(turns[:, i] * turns[:, j]), strict=True)
     return _sum(arm.graph, (x * float(f) for x, f in pairs))

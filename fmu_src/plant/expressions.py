@@ -41,7 +41,7 @@ class Expressions:
         """Return the sum of two nodes."""
         first = self.nodes[a]
         second = self.nodes[b]
-        if first.kind == second.kind == "const":
+        if first.kind == "const" and second.kind == "const":
             return self.constant(first.value + second.value)
         if first.kind == "const" and first.value == 0.0:
             return Expression(self, b)
@@ -54,13 +54,17 @@ class Expressions:
 
     def multiply(self, a: int, b: int) -> "Expression":
         """Return the product of two nodes; a constant factor comes first."""
-        (f, first), (g, second) = self._factor(a), self._factor(b)
-        factor = f * g
-        kinds = self.nodes[first].kind, self.nodes[second].kind
-        if factor == 0.0 or kinds == ("const", "const"):
+        first_factor, first = self._factor(a)
+        second_factor, second = self._factor(b)
+        factor = first_factor * second_factor
+        first_is_constant = self.nodes[first].kind == "const"
+        second_is_constant = self.nodes[second].kind == "const"
+        if factor == 0.0 or (first_is_constant and second_is_constant):
             return self.constant(factor)
-        if "const" in kinds:
-            product = second if kinds[0] == "const" else first
+        if first_is_constant:
+            product = second
+        elif second_is_constant:
+            product = first
         else:
             product = self._node(Operation("mul", min(first, second), max(first, second))).index
         if factor == 1.0:
@@ -80,7 +84,8 @@ class Expressions:
         """Return the change of every node along changes of names, by the rule of products."""
         changes: list[Expression] = []
         for node in tuple(self.nodes):
-            left_operand, right_operand = (Expression(self, i) for i in (node.left, node.right))
+            left_operand = Expression(self, node.left)
+            right_operand = Expression(self, node.right)
             if node.kind == "add":
                 changes.append(changes[node.left] + changes[node.right])
             elif node.kind == "mul":
@@ -109,7 +114,9 @@ class Expressions:
 
     def _operand(self, index: int) -> str:
         node = self.nodes[index]
-        return literal(node.value) if node.kind == "const" else f"t{index}"
+        if node.kind == "const":
+            return literal(node.value)
+        return f"t{index}"
 
     def _text(self, index: int) -> str:
         node = self.nodes[index]

@@ -2,7 +2,7 @@
 
 import logging
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
@@ -77,11 +77,14 @@ class PlantBody:
         Raises RobotError if the body belongs to another robot, ExportError if a mass matrix is not
         positive definite.
         """
-        parameters = robot.nominal_parameters if body is None else body.parameters_for(robot)
+        if body is None:
+            source = robot.description.model.name
+            parameters = robot.nominal_parameters
+        else:
+            source = "the rigid body"
+            parameters = body.parameters_for(robot)
         plant_body = cls(robot=robot, parameters=parameters)
-        plant_body.require_inertia(
-            robot.description.model.name if body is None else "the rigid body"
-        )
+        plant_body.require_inertia(source)
         return plant_body
 
     def require_inertia(self, source: str) -> None:
@@ -101,7 +104,9 @@ class PlantBody:
     def rotors(self) -> Array:
         """Rotor inertias (n,)."""
         identified = self.parameters[10 * self.robot.links : self.robot.inertial]
-        return identified if len(identified) else self.robot.rotor_nominal
+        if len(identified):
+            return identified
+        return self.robot.rotor_nominal
 
     @property
     def key(self) -> dict[str, object]:
@@ -154,7 +159,7 @@ _TOOL_OUTPUTS = (
         "tool_rotation",
         "1",
         "rotation of the last joint's frame",
-        tuple(f"row {i} column {j}" for i in (1, 2, 3) for j in (1, 2, 3)),
+        tuple(f"row {i // 3 + 1} column {i % 3 + 1}" for i in range(9)),
     ),
 )
 _START = ("q_start", "dq_start")
@@ -167,23 +172,25 @@ def _inputs(servo: PlantServo | None) -> dict[str, tuple[str, str]]:
     return {"tau": ("N.m", "torque of the motor in addition to the servo's"), **servo.inputs()}
 
 
-def _memory(laws: Sequence[Joint], links: int, servo: PlantServo | None) -> int:
+def _memory(joints: Sequence[Joint], links: int, servo: PlantServo | None) -> int:
     """Return the number of doubles in the own memory of plant.c."""
-    joints, (rows, lanes) = len(laws), prepared_size(laws)
-    plant = 1 + 3 * joints + 10 * links + rows * lanes
-    return plant if servo is None else plant + servo.count_memory(joints)
+    rows, lanes = prepared_size(joints)
+    count = 1 + 3 * len(joints) + 10 * links + rows * lanes
+    if servo is not None:
+        count += servo.count_memory(len(joints))
+    return count
 
 
 def _parameters(plant_body: PlantBody) -> Iterator[Variable]:
     robot = plant_body.robot
     lower, upper, _ = robot.limits
     bounded = np.isfinite(upper - lower)
-    lower, upper = np.where(bounded, lower, -_UNLIMITED), np.where(bounded, upper, _UNLIMITED)
-    inside = (lower <= 0.0) & (upper >= 0.0)
+    lower = np.where(bounded, lower, -_UNLIMITED)
+    upper = np.where(bounded, upper, _UNLIMITED)
+    has_zero = (lower <= 0.0) & (upper >= 0.0)
+    initial = np.where(has_zero, 0.0, 0.5 * (lower + upper))
     ones = np.ones(robot.n)
-    yield from vector(
-        "q_start", "fixed", "rad", "initial position", np.where(inside, 0.0, 0.5 * (lower + upper))
-    )
+    yield from vector("q_start", "fixed", "rad", "initial position", initial)
     yield from vector("dq_start", "fixed", "rad/s", "initial speed", 0.0 * ones)
     yield from vector("q_min", "fixed", "rad", "position of the lower stop", lower)
     yield from vector("q_max", "fixed", "rad", "position of the upper stop", upper)
@@ -221,78 +228,155 @@ def inertial_parameters(plant_body: PlantBody) -> Iterator[Variable]:
         yield Variable(f"payload.{name}", "tunable", text, unit="kg.m2")
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Signals:
+    """Names of the variables that outputs and states of a plant depend on.
+
+    Attributes
+    ----------
+    commands : inputs of all joints.
+    positions : of all joints.
+    motion : positions, then speeds of all joints.
+    stops : limits of positions, and parameters of the stops.
+    load : sources of the joint torques: all above and the inertial parameters.
+    friction : sources of the torque of each coordinate of the friction.
+    """
+
+    commands: tuple[str, ...]
+    positions: tuple[str, ...]
+    motion: tuple[str, ...]
+    stops: tuple[str, ...]
+    load: tuple[str, ...]
+    friction: tuple[tuple[str, ...], ...]
+
+
 def _interface(
     model: FrictionModel, plant_body: PlantBody, servo: PlantServo | None, *, tool: bool
 ) -> Interface:
-    laws = build_joints(model, names={TORQUE: "tau_friction"})
-    numbers = range(1, len(laws) + 1)
-    zeros = (0.0,) * len(laws)
+    """Return the variables of a plant."""
+    joints = build_joints(model, names={TORQUE: "tau_friction"})
     starts = list(_parameters(plant_body))
     inertial_variables = list(inertial_parameters(plant_body))
-    inertial_names = tuple(variable.name for variable in inertial_variables)
-    motion = tuple(f"{name}[{i}]" for name in ("q", "dq") for i in numbers)
-    servo_variables = list(servo.parameters()) if servo else []
-    commands = tuple(f"{name}[{i}]" for name in _inputs(servo) for i in numbers)
-    stops = tuple(variable.name for variable in starts if variable.name.startswith(("q_m", "stop")))
-    load = (*commands, *motion, *stops, *inertial_names)
-    torque = sympy.Symbol(TORQUE, real=True)
-
-    def sources(i: int) -> dict[str, tuple[str, ...]]:
-        moving = {name: find_joint_signals(name, i, model.coupling) for name in ("dq", "q")}
-        return {**moving, TAU_LOAD.name: load}
-
-    friction = [dependencies(law, torque, sources(i)) for i, law in enumerate(laws, start=1)]
-    servo_names = (variable.name for variable in servo_variables)
-    all_sources = (*load, *servo_names, *chain.from_iterable(friction))
-    at_start = {"q_cmd": [variable.start for variable in starts[: len(laws)]]}
+    servo_variables = []
+    if servo is not None:
+        servo_variables = list(servo.parameters())
+    signals = _name_signals(model, joints, servo, starts, inertial_variables)
     variables = [
-        variable
-        for name, (unit, text) in _inputs(servo).items()
-        for variable in vector(name, "input", unit, text, at_start.get(name, zeros))
+        *_input_variables(servo, starts[: len(joints)]),
+        *_output_variables(model, signals, servo_variables),
     ]
-    for name, unit, text in (*_OUTPUTS, *(_SERVO_OUTPUTS if servo else ())):
-        for i, variable in enumerate(vector(name, "output", unit, text, zeros), start=1):
-            coordinates = find_added_coordinates(i, model.coupling)
-            own_sources = {
-                "q": (variable.name,),
-                "dq": (variable.name,),
-                "tau_friction": tuple(chain.from_iterable(friction[k - 1] for k in coordinates)),
-                "tau_stop": (*motion, *stops),
-            }
-            output_sources = tuple(dict.fromkeys(own_sources.get(name, all_sources)))
-            start_names = (f"{name}_start[{i}]",) if f"{name}_start" in _START else ()
-            state_name = f"{_INTEGRAL_OF[name]}[{i}]" if name in _INTEGRAL_OF else None
-            output_variable = replace(
-                variable,
-                dependencies=output_sources,
-                derivative_of=state_name,
-                initial_dependencies=start_names,
-            )
-            variables.append(output_variable)
-    for name, unit, text, elements in _TOOL_OUTPUTS if tool else ():
-        for k, element in enumerate(elements, start=1):
-            description = f"{text}, {element}"
-            positions = motion[: len(laws)]
-            variables.append(
-                Variable(f"{name}[{k}]", "output", description, unit=unit, dependencies=positions)
-            )
+    if tool:
+        variables += _tool_variables(signals.positions)
     variables += starts + servo_variables
     variables.append(Variable("substep", "fixed", "longest inner step", unit="s", start=SUBSTEP))
     meaning = "how the states of the friction are relaxed over an inner step"
     variables += [discretisation(model, meaning), start_mode(), *inertial_variables, *scales(model)]
-    for i, (law, joint) in enumerate(zip(model.laws, laws, strict=True), start=1):
-        load_sources = {TAU_LOAD.name: (*load, *friction[i - 1])}
-        variables += law_variables(law, i, joint, sources(i) | load_sources)
+    for number, (law, joint) in enumerate(zip(model.laws, joints, strict=True), start=1):
+        # The load depends on the acceleration, and this on the friction itself.
+        load = (*signals.load, *signals.friction[number - 1])
+        variables += law_variables(law, number, joint, _find_law_sources(model, number, load))
     variables = [adapt_to_joint(variable, model.slides) for variable in variables]
+    if servo is not None:
+        variables = [make_inputs_initial(variable, signals.commands) for variable in variables]
     return Interface(
-        variables=tuple(
-            make_inputs_initial(variable, commands) if servo else variable for variable in variables
-        ),
-        own=_memory(laws, plant_body.robot.links, servo),
+        variables=tuple(variables),
+        own=_memory(joints, plant_body.robot.links, servo),
         model_exchange=servo is None,
         directional_derivatives=servo is None,
         inner_steps=True,
     )
+
+
+def _name_signals(
+    model: FrictionModel,
+    joints: Sequence[Joint],
+    servo: PlantServo | None,
+    starts: Sequence[Variable],
+    inertial_variables: Sequence[Variable],
+) -> _Signals:
+    """Return the names behind outputs and states, from the parameters of the plant."""
+    numbers = range(1, len(joints) + 1)
+    commands: list[str] = []
+    for name in _inputs(servo):
+        commands += [f"{name}[{i}]" for i in numbers]
+    positions = tuple(f"q[{i}]" for i in numbers)
+    motion = (*positions, *(f"dq[{i}]" for i in numbers))
+    stops = tuple(variable.name for variable in starts if variable.name.startswith(("q_m", "stop")))
+    inertial_names = (variable.name for variable in inertial_variables)
+    load = (*commands, *motion, *stops, *inertial_names)
+    torque = sympy.Symbol(TORQUE, real=True)
+    friction = [
+        dependencies(joint, torque, _find_law_sources(model, i, load))
+        for i, joint in enumerate(joints, start=1)
+    ]
+    return _Signals(
+        commands=tuple(commands),
+        positions=positions,
+        motion=motion,
+        stops=stops,
+        load=load,
+        friction=tuple(friction),
+    )
+
+
+def _find_law_sources(
+    model: FrictionModel, coordinate: int, load: tuple[str, ...]
+) -> dict[str, tuple[str, ...]]:
+    """Return the variables behind each input of the law of a coordinate."""
+    return {
+        "dq": find_joint_signals("dq", coordinate, model.coupling),
+        "q": find_joint_signals("q", coordinate, model.coupling),
+        TAU_LOAD.name: load,
+    }
+
+
+def _input_variables(
+    servo: PlantServo | None, initial_positions: Sequence[Variable]
+) -> Iterator[Variable]:
+    """Yield the inputs; position commands begin at the initial positions."""
+    for name, (unit, text) in _inputs(servo).items():
+        starts = [0.0] * len(initial_positions)
+        if name == "q_cmd":
+            starts = [position.start for position in initial_positions]
+        yield from vector(name, "input", unit, text, starts)
+
+
+def _output_variables(
+    model: FrictionModel, signals: _Signals, servo_variables: Sequence[Variable]
+) -> Iterator[Variable]:
+    """Yield the outputs of all joints with the variables that they depend on."""
+    zeros = (0.0,) * len(signals.positions)
+    servo_names = (variable.name for variable in servo_variables)
+    all_friction = chain.from_iterable(signals.friction)
+    all_sources = (*signals.load, *servo_names, *all_friction)
+    outputs = _OUTPUTS
+    if servo_variables:
+        outputs = (*_OUTPUTS, *_SERVO_OUTPUTS)
+    for name, unit, text in outputs:
+        for number, output in enumerate(vector(name, "output", unit, text, zeros), start=1):
+            if name in ("q", "dq"):
+                sources: Iterable[str] = (output.name,)
+            elif name == "tau_stop":
+                sources = (*signals.motion, *signals.stops)
+            elif name == "tau_friction":
+                coordinates = find_added_coordinates(number, model.coupling)
+                sources = chain.from_iterable(signals.friction[k - 1] for k in coordinates)
+            else:
+                sources = all_sources
+            output = replace(output, dependencies=tuple(dict.fromkeys(sources)))
+            if name in _INTEGRAL_OF:
+                output = replace(output, derivative_of=f"{_INTEGRAL_OF[name]}[{number}]")
+            if f"{name}_start" in _START:
+                output = replace(output, initial_dependencies=(f"{name}_start[{number}]",))
+            yield output
+
+
+def _tool_variables(positions: tuple[str, ...]) -> Iterator[Variable]:
+    """Yield the pose of the last joint's frame."""
+    for name, unit, text, elements in _TOOL_OUTPUTS:
+        for k, element in enumerate(elements, start=1):
+            description = f"{text}, {element}"
+            yield Variable(f"{name}[{k}]", "output", description, unit=unit, dependencies=positions)
 
 
 _WORDS = {"torque": "force", "inertia": "mass"}
@@ -376,7 +460,9 @@ def require_fitting(model: FrictionModel, robot: Robot) -> None:
 
 def _forward_matrix(coupling: Coupling | None, joint_count: int) -> Array:
     """Return the matrix of a coupling, by default that of independent joints."""
-    return np.eye(joint_count) if coupling is None else coupling.forward
+    if coupling is None:
+        return np.eye(joint_count)
+    return coupling.forward
 
 
 def content(
@@ -390,6 +476,7 @@ def content(
     """Return the FMU of a plant before compilation."""
     joints = build_joints(model, names={TORQUE: "tau_friction"})
     interface = _interface(model, plant_body, servo, tool=tool)
+    # A robot without springs never reads theirs.
     springs = next((n for n in interface.places if n.startswith("spring[")), "gravity[1]")
     header = equations_header(
         joints,
@@ -409,26 +496,24 @@ def content(
     shared_sources = ("balance.h", "coupling.h", "law_math.h", "regroup.h", "root.h", "wide.h")
     sources = {name: read_c_source(name) for name in (*plant_sources, *shared_sources)}
     servo_places, servo_kinds = find_places(servo)
-    sources |= {
-        "dynamics.h": dynamics_header(plant_body.robot, width="LANES"),
-        "equations.h": header,
-    }
-    sources |= {"change.h": change_header(plant_body.robot)}
-    sources |= {"servo.h": places(interface, "SERVO_H", servo_places, **servo_kinds)}
-    sources |= {"tool.h": tool_header(plant_body.robot, interface.places.get("tool_position[1]"))}
+    sources["dynamics.h"] = dynamics_header(plant_body.robot, width="LANES")
+    sources["equations.h"] = header
+    sources["change.h"] = change_header(plant_body.robot)
+    sources["servo.h"] = places(interface, "SERVO_H", servo_places, **servo_kinds)
+    sources["tool.h"] = tool_header(plant_body.robot, interface.places.get("tool_position[1]"))
     members = {}
     if not bare:
         page = drive_html(model, interface, about, template="plant.html.j2").encode()
         members = {"documentation/index.html": page, **embed_model(model)}
-    inputs = waves(
-        {f"{name}[{i}]": 1.0 for name in _inputs(servo) for i in range(1, len(joints) + 1)}
-    )
+    amplitudes: dict[str, float] = {}
+    for name in _inputs(servo):
+        amplitudes |= dict.fromkeys((f"{name}[{i}]" for i in range(1, len(joints) + 1)), 1.0)
     return Content(
         table=interface,
         about=about,
         sources=sources,
         members=members,
-        stimuli=Stimuli(step=SUBSTEP, inputs=inputs),
+        stimuli=Stimuli(step=SUBSTEP, inputs=waves(amplitudes)),
         terminals=(_JOINTS,),
         origin={} if bare else describe_origin(model),
     )

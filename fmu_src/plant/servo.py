@@ -56,9 +56,11 @@ class ServoGains:
                 if gains is not None:
                     raise ArgumentError(f"'{name}' needs 'kv', the proportional gain of the servo.")
             return None
-        integral = (0.0,) * len(kv) if ki is None else ki
-        position = () if kp is None else kp
-        return cls(kv=tuple(kv), ki=tuple(integral), kp=tuple(position))
+        if ki is None:
+            ki = (0.0,) * len(kv)
+        if kp is None:
+            kp = ()
+        return cls(kv=tuple(kv), ki=tuple(ki), kp=tuple(kp))
 
     def __post_init__(self) -> None:
         _require_not_negative(kv=self.kv, ki=self.ki, kp=self.kp)
@@ -75,9 +77,10 @@ class ServoGains:
 
     def inputs(self) -> dict[str, tuple[str, str]]:
         """Return unit and text of its commands by name."""
-        speed = {"dq_cmd": ("rad/s", "speed command of the servo")}
-        position = {"q_cmd": ("rad", "position command of the servo")} if self.kp else {}
-        return speed | position
+        commands = {"dq_cmd": ("rad/s", "speed command of the servo")}
+        if self.kp:
+            commands["q_cmd"] = ("rad", "position command of the servo")
+        return commands
 
     def parameters(self) -> Iterator[Variable]:
         """Yield the parameters."""
@@ -194,12 +197,11 @@ def find_places(servo: PlantServo | None) -> tuple[dict[str, str], dict[str, int
         "DIRECT": int(servo is not None and servo.is_direct),
     }
     # What a servo lacks is never read, but has a place.
-    found = dict.fromkeys(_PLACES | _PLACES_OF_POSITION | _PLACES_OF_DIRECT, "tau[1]")
-    for kind, kind_places in (
-        ("SERVO", _PLACES),
-        ("POSITION", _PLACES_OF_POSITION),
-        ("DIRECT", _PLACES_OF_DIRECT),
-    ):
-        if kinds[kind]:
-            found |= kind_places
-    return found, kinds
+    places = dict.fromkeys(_PLACES | _PLACES_OF_POSITION | _PLACES_OF_DIRECT, "tau[1]")
+    if kinds["SERVO"]:
+        places |= _PLACES
+    if kinds["POSITION"]:
+        places |= _PLACES_OF_POSITION
+    if kinds["DIRECT"]:
+        places |= _PLACES_OF_DIRECT
+    return places, kinds
