@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import sympy
 from sympy.printing.c import C99CodePrinter
@@ -114,64 +115,125 @@ def print_function(
     *,
     library: bool = False,
 ) -> str:
-    """Return a C function of these statements, with some symbols renamed; see `function`."""
+    """Return a C function of these assignments, with some symbols renamed; see `function`.
+
+    `targets` maps C expressions that are written to symbols, `places` symbols that are read to a
+    local name and a C expression.
+    """
     symbol_names = {s: name for s, (name, _) in places.items() if s not in names}
-    lanes = "LANES(" in signature
-    printer = _Printer({**symbol_names, **names}, lanes=lanes, library=library)
-    used_symbols = set().union(
-        *(expression.free_symbols for expression in lines.values()), targets.values()
-    ) - set(lines)
-    reads = [
+    has_lanes = "LANES(" in signature
+    printer = _Printer({**symbol_names, **names}, lanes=has_lanes, library=library)
+    reads = _print_reads(lines, targets, places)
+    computations = [
+        f"const double {names.get(symbol, str(symbol))} = {_c(printer, expression)};"
+        for symbol, expression in lines.items()
+    ]
+    writes = []
+    for place, symbol in targets.items():
+        value = "0.0"  # the change of what does not change has no assignment
+        if symbol in lines or symbol in symbol_names:
+            value = _c(printer, symbol)
+        writes.append(f"{place} = {value};")
+    statements = [*reads, *computations, *writes]
+    signature = declare_arguments(signature)
+    arguments = re.findall(r"(\w+)(?:\)\[LANES\])?[,)]", signature)
+    content = _silence_unused(arguments, statements)
+    variants = _find_width_variants(signature)
+    if has_lanes:
+        checks = _check_angles(lines, printer)
+        content += _loop_over_lanes([*statements, *checks], variants)
+        result = "bool"
+    else:
+        content += statements
+        result = "void"
+    expansion = ""
+    if variants is None:
+        head = f"{_storage(signature, len(computations))} {result} {signature}"
+    else:
+        head = f"INLINED {result} {variants.name}_inlined{variants.parameters}"
+        expansion = (
+            f"{variants.macro}({variants.name}, {variants.parameters}, ({', '.join(arguments)}))\n"
+        )
+    return "\n".join([head, "{", *(f"    {line}" for line in content), "}", expansion])
+
+
+def _print_reads(
+    lines: Assignments,
+    targets: Mapping[str, sympy.Symbol],
+    places: Mapping[sympy.Symbol, tuple[str, str]],
+) -> list[str]:
+    """Return statements that copy the places that are used to their local names."""
+    used_symbols = set(targets.values())
+    for expression in lines.values():
+        used_symbols |= expression.free_symbols
+    used_symbols -= set(lines)
+    return [
         f"const double {name} = {place};"
         for symbol, (name, place) in places.items()
         if symbol in used_symbols and name != place
     ]
-    body = [
-        f"const double {names.get(symbol, str(symbol))} = {_c(printer, expression)};"
-        for symbol, expression in lines.items()
+
+
+def _silence_unused(arguments: Iterable[str], statements: Iterable[str]) -> list[str]:
+    """Return a statement against warnings of unused arguments, if there are any."""
+    text = " ".join(statements)
+    unused = [name for name in arguments if not re.search(rf"\b{name}\b", text)]
+    if not unused:
+        return []
+    return [", ".join(f"(void){name}" for name in unused) + ";"]
+
+
+class _WidthVariants(NamedTuple):
+    """A function that wide.h compiles for several widths of vectors, by a macro."""
+
+    name: str
+    parameters: str
+    macro: str
+    loop: str  # macro in front of the loop over lanes
+
+
+def _find_width_variants(signature: str) -> _WidthVariants | None:
+    """Return what wide.h needs for a function over lanes, None for one without variants."""
+    parts = re.fullmatch(r"(\w+_(?:attempts|together))(\(.*\))", signature)
+    if parts is None:
+        return None
+    if parts[1].endswith("together"):
+        return _WidthVariants(parts[1], parts[2], "IN_PAIRS", "PAIRED")
+    return _WidthVariants(parts[1], parts[2], "IN_WIDTHS", "INTERLEAVED")
+
+
+def _check_angles(lines: Assignments, printer: _Printer) -> list[str]:
+    """Return statements that find angles too large for the branch-free sine and cosine."""
+    functions = tuple(_ANGLE_FUNCTIONS.values())
+    angles: dict[sympy.Expr, None] = {}
+    for expression in lines.values():
+        angles |= dict.fromkeys(call.args[0] for call in expression.atoms(*functions))
+    return [f"far |= !(fabs({_c(printer, angle)}) <= LARGEST_ANGLE);" for angle in angles]
+
+
+def _loop_over_lanes(statements: Iterable[str], variants: _WidthVariants | None) -> list[str]:
+    """Return a loop over the lanes of vectors, and whether all angles were small."""
+    loop_macros = []
+    if variants is not None:
+        loop_macros = [variants.loop]
+    return [
+        "int far = 0;",
+        *loop_macros,
+        "for (int l = 0; l < LANES; l++) {",
+        *(f"    {statement}" for statement in statements),
+        "}",
+        "return !far;",
     ]
-    writes = [
-        f"{place} = {_c(printer, s) if s in lines or s in symbol_names else '0.0'};"
-        for place, s in targets.items()
-    ]
-    signature = declare_arguments(signature)
-    arguments = re.findall(r"(\w+)(?:\)\[LANES\])?[,)]", signature)
-    text = " ".join([*reads, *body, *writes])
-    unused = [a for a in arguments if not re.search(rf"\b{a}\b", text)]
-    silence = [f"{', '.join(f'(void){a}' for a in unused)};"] if unused else []
-    seldom = any(f"_{name}(" in signature for name in _RARE_FUNCTIONS)
-    always = len(body) <= _MAX_INLINED_STATEMENTS and any(
-        f"_{name}(" in signature for name in _INLINED_FUNCTIONS
-    )
-    kind = "SELDOM static" if seldom else "QUICK" if always else "static"
-    wide = re.fullmatch(r"(\w+_(?:attempts|together))(\(.*\))", signature)
-    paired = wide is not None and wide[1].endswith("together")
-    widths = "IN_PAIRS" if paired else "IN_WIDTHS"
-    width_variants = f"{widths}({wide[1]}, {wide[2]}, ({', '.join(arguments)}))\n" if wide else ""
-    if wide:
-        kind = "INLINED"
-        signature = f"{wide[1]}_inlined{wide[2]}"
-    content: Iterable[str] = (*reads, *body, *writes)
-    if lanes:
-        kinds = tuple(_ANGLE_FUNCTIONS.values())
-        angles = dict.fromkeys(
-            f.args[0] for expression in lines.values() for f in expression.atoms(*kinds)
-        )
-        range_checks = [
-            f"far |= !(fabs({_c(printer, angle)}) <= LARGEST_ANGLE);" for angle in angles
-        ]
-        content = (
-            "int far = 0;",
-            *(("PAIRED",) if paired else ("INTERLEAVED",) if wide else ()),
-            "for (int l = 0; l < LANES; l++) {",
-            *(f"    {line}" for line in (*content, *range_checks)),
-            "}",
-            "return !far;",
-        )
-    content = (*silence, *content)
-    result = "bool" if lanes else "void"
-    head = f"{kind} {result} {signature}"
-    return "\n".join([head, "{", *(f"    {line}" for line in content), "}", width_variants])
+
+
+def _storage(signature: str, length: int) -> str:
+    """Return the storage class and attributes of a function with `length` computations."""
+    if any(f"_{name}(" in signature for name in _RARE_FUNCTIONS):
+        return "SELDOM static"
+    is_called_often = any(f"_{name}(" in signature for name in _INLINED_FUNCTIONS)
+    if is_called_often and length <= _MAX_INLINED_STATEMENTS:
+        return "QUICK"
+    return "static"
 
 
 def declare_arguments(arguments: str) -> str:

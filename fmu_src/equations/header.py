@@ -64,15 +64,16 @@ def memory_size(joints: Sequence[Joint]) -> int:
 
 def prepared_size(joints: Sequence[Joint]) -> tuple[int, int]:
     """Return the shape of a solver's memory for arguments of laws, in whole vectors of 2 or 4."""
-    prepared_count = max(
-        1, *(_count(joint.component, joint.gathered, "prepared") for joint in joints)
-    )
-    return prepared_count, _lanes(len(joints))
+    counts = [_count(joint.component, joint.gathered, "prepared") for joint in joints]
+    return max(1, *counts), _count_lanes(len(joints))
 
 
-def _lanes(joints: int) -> int:
-    length = 4 if joints > 2 else 2
-    return -(-joints // length) * length
+def _count_lanes(joint_count: int) -> int:
+    """Return the number of joints, rounded up to whole vectors."""
+    length = 2
+    if joint_count > 2:
+        length = 4
+    return -(-joint_count // length) * length
 
 
 def indicators(joints: Sequence[Joint]) -> int:
@@ -81,7 +82,9 @@ def indicators(joints: Sequence[Joint]) -> int:
 
 
 def _count_indicators(functions: Functions) -> int:
-    return len(functions.jumps.expressions) if functions.component.events else 0
+    if not functions.component.events:
+        return 0
+    return len(functions.jumps.expressions)
 
 
 def equations_header(
@@ -99,62 +102,29 @@ def equations_header(
     coupling maps the joints to the coordinates of the equations. `steps_together` is whether the C
     file steps equal joints at once.
     """
-    distinct = list(dict.fromkeys(j.component for j in joints))
-    first = {j.component: j for j in reversed(joints)}
-    functions = {
-        component: Functions(
-            component,
-            f"law_{i}",
-            tunable=not first[component].constants,
-            gathered=first[component].gathered,
-        )
-        for i, component in enumerate(distinct, start=1)
-    }
+    functions = _number_components(joints)
     texts, names = _print_functions(functions.values(), calls)
-    arrays = []
-    rows = []
-    before = 0
-    for i, joint in enumerate(joints, start=1):
-        printer = functions[joint.component]
-        rows.append(
-            f"    {{{', '.join(_row(joint, i, printer, interface, before, names[printer.name]))}}},"
-        )
-        arrays += _arrays(joint, i, printer, interface)
-        before += len(printer.jumps.expressions)
     together = ""
     if steps_together and calls == FRICTION and coupling is None:
         together = _print_joint_lanes(joints, interface, functions[joints[0].component], texts)
-    sample_time = joints[0].component.sample_time
-    constants = _sizes(joints) | {
-        "DISCRETISATION": -1,
-        "START_MODE": -1,
-        "SAMPLED": int(bool(sample_time)),
-        "SAMPLE_TIME_PLACE": interface.places[sample_time] if sample_time else 0,
-        "EXACT": 1,
-        "EULER": 2,
-        "STEADY": 1,
-        "HOLDS": int(any(j.component.holds for j in joints)),
-        "COUPLED": int(coupling is not None),
-        "BAND": next(
-            (k for k, equation in enumerate(joints[0].component.outputs) if equation.name == LOWER),
-            0,
-        ),
-        **{name: interface.places[variable] for name, variable in places.items()},
-    }
+    constants = _constants(joints, interface, coupling)
+    for name, variable in places.items():
+        constants[name] = interface.places[variable]
     if calls[0] == "attempts":
         constants["PREPARED"], constants["LANES"] = prepared_size(joints)
         constants["ALIKE"] = int(len({law_functions[1] for law_functions in names.values()}) == 1)
     if together:
-        constants["LANES"] = _lanes(len(joints))
+        constants["LANES"] = _count_lanes(len(joints))
+    widths = ""
+    if together or "attempts" in calls:
+        widths = '#include "wide.h"\n'
+    arrays, rows = _print_joints(joints, interface, functions, names)
     return _HEADER.format(
-        widths='#include "wide.h"\n' if together or "attempts" in calls else "",
+        widths=widths,
         constants=",\n".join(f"    {name} = {value}" for name, value in constants.items()),
         members="\n".join(map(_member, calls)),
         functions="\n".join(texts),
-        names="\n".join(
-            _signs(f) + (f.print_refusal() if _has_function("refused", f) else "")
-            for f in functions.values()
-        ),
+        names="\n".join(map(_print_names, functions.values())),
         arrays="\n".join(arrays),
         rows="\n".join(rows),
         coupling=_coupling(coupling, len(joints)),
@@ -163,6 +133,73 @@ def equations_header(
             joints, interface, functions, names, calls, coupled=coupling is not None
         ),
     )
+
+
+def _number_components(joints: Sequence[Joint]) -> dict[Component, Functions]:
+    """Return the functions of each distinct component; the first joint that has it counts."""
+    functions: dict[Component, Functions] = {}
+    for joint in joints:
+        if joint.component not in functions:
+            functions[joint.component] = Functions(
+                joint.component,
+                f"law_{len(functions) + 1}",
+                tunable=not joint.constants,
+                gathered=joint.gathered,
+            )
+    return functions
+
+
+def _constants(
+    joints: Sequence[Joint], interface: Interface, coupling: Coupling | None
+) -> dict[str, int]:
+    """Return the constants of equations.h that every component has."""
+    first = joints[0].component
+    sample_time_place = 0
+    if first.sample_time:
+        sample_time_place = interface.places[first.sample_time]
+    output_names = [equation.name for equation in first.outputs]
+    band = 0
+    if LOWER in output_names:
+        band = output_names.index(LOWER)
+    return _sizes(joints) | {
+        "DISCRETISATION": -1,
+        "START_MODE": -1,
+        "SAMPLED": int(bool(first.sample_time)),
+        "SAMPLE_TIME_PLACE": sample_time_place,
+        "EXACT": 1,
+        "EULER": 2,
+        "STEADY": 1,
+        "HOLDS": int(any(joint.component.holds for joint in joints)),
+        "COUPLED": int(coupling is not None),
+        "BAND": band,
+    }
+
+
+def _print_joints(
+    joints: Sequence[Joint],
+    interface: Interface,
+    functions: Mapping[Component, Functions],
+    names: Mapping[str, Sequence[str]],
+) -> tuple[list[str], list[str]]:
+    """Return the arrays of all joints, and their rows of the table of joints."""
+    arrays = []
+    rows = []
+    first_switch = 0
+    for i, joint in enumerate(joints, start=1):
+        printer = functions[joint.component]
+        row = [*_row(joint, i, printer, interface, first_switch), *names[printer.name]]
+        rows.append(f"    {{{', '.join(row)}}},")
+        arrays += _arrays(joint, i, printer, interface)
+        first_switch += len(printer.jumps.expressions)
+    return arrays, rows
+
+
+def _print_names(functions: Functions) -> str:
+    """Return the names of a component's signs, and its function that refuses parameters."""
+    text = _signs(functions)
+    if _has_function("refused", functions):
+        text += functions.print_refusal()
+    return text
 
 
 def _print_joint_macro(
@@ -181,10 +218,13 @@ def _print_joint_macro(
         c_names = [
             names[printer.name][1 + calls.index(n)] for n in ("step", "switches") if n in calls
         ]
-        places = (interface.places[joint.names[quantity.name]] for quantity in printer.gathers)
-        reads = (f"input_of(v, {i}, {j})" if coupled else f"v[{k}]" for j, k in enumerate(places))
-        gather = ", ".join(f"u[{j}] = {read}" for j, read in enumerate(reads))
-        lines.append(f"    DO({', '.join((str(i), *c_names))}, ({gather}))")
+        reads = []
+        for j, quantity in enumerate(printer.gathers):
+            read = f"v[{interface.places[joint.names[quantity.name]]}]"
+            if coupled:
+                read = f"input_of(v, {i}, {j})"
+            reads.append(f"u[{j}] = {read}")
+        lines.append(f"    DO({', '.join((str(i), *c_names))}, ({', '.join(reads)}))")
     return " \\\n".join(["#define EACH_JOINT(DO)", *lines])
 
 
@@ -196,50 +236,73 @@ def _print_joint_lanes(
     Lanes hide latencies; those without a joint repeat the first. Previous values, constants and
     angles are not supported. `texts` are the written functions.
     """
-    component = functions.component
-    holds = component.remembered or component.sample_time or component.holds
-    alike = len(joints) > 2 and all(joint.component == component for joint in joints)
-    if not alike or holds or functions.gathered or not functions.tunable:
-        return ""
-    if not any(text.startswith(f"QUICK void {functions.name}_step(") for text in texts):
+    if not _can_share_lanes(joints, functions, texts):
         return ""
     text = _texts(functions, ("together",))["together"]
     if "far |=" in text:
         return ""
-    order = [i if i < len(joints) else 0 for i in range(_lanes(len(joints)))]
+    order = [i if i < len(joints) else 0 for i in range(_count_lanes(len(joints)))]
     padded = [joints[i] for i in order]
     size = _sizes(joints)["MAX_INVARIANTS"]
-    reads = (
-        [interface.places[joint.names[quantity.name]] for joint in padded]
-        for quantity in functions.gathers
-    )
     indices = {
-        "k_at[LANES]": [
-            interface.first(joint.parameters) if joint.parameters else 0 for joint in padded
-        ],
-        "x_at[LANES]": [interface.first(joint.states) if joint.states else 0 for joint in padded],
-        "c_at[LANES]": [size * i for i in order],
-        "u_at[][LANES]": list(reads),
+        "k_at[LANES]": str([_first_place(interface, joint.parameters) for joint in padded]),
+        "x_at[LANES]": str([_first_place(interface, joint.states) for joint in padded]),
+        "c_at[LANES]": str([size * i for i in order]),
+        "u_at[][LANES]": str(_input_places(padded, interface, functions)),
     }
     lines = [
-        f"static const ptrdiff_t {name} = {str(places).translate(_BRACES)};"
+        f"static const ptrdiff_t {name} = {places.translate(_BRACES)};"
         for name, places in indices.items()
         if f"{name[:4]}[" in text
     ]
     return "\n".join([*lines, text, f"#define TOGETHER {functions.name}_together\n"])
 
 
+def _can_share_lanes(joints: Sequence[Joint], functions: Functions, texts: Iterable[str]) -> bool:
+    """Return whether there are three or more joints with the same short, supported equations."""
+    component = functions.component
+    if len(joints) < 3 or any(joint.component != component for joint in joints):
+        return False
+    if component.remembered or component.sample_time or component.holds:
+        return False
+    if functions.gathered or not functions.tunable:
+        return False
+    # Only short functions are `QUICK`.
+    return any(text.startswith(f"QUICK void {functions.name}_step(") for text in texts)
+
+
+def _first_place(interface: Interface, names: Sequence[str]) -> int:
+    """Return the index of the first of consecutive variables, 0 without any."""
+    if not names:
+        return 0
+    return interface.first(names)
+
+
+def _input_places(
+    joints: Sequence[Joint], interface: Interface, functions: Functions
+) -> list[list[int]]:
+    """Return the indices of the inputs: a row per input, with an entry per joint."""
+    rows = []
+    for quantity in functions.gathers:
+        names = [joint.names[quantity.name] for joint in joints]
+        rows.append([interface.places[name] for name in names])
+    return rows
+
+
 _BRACES = str.maketrans("[]", "{}")
 
 
 def _member(function: str) -> str:
-    kind = "bool" if "LANES(" in SIGNATURES[function] else "void"
-    return f"    {kind} (*{function})({declare_arguments(SIGNATURES[function])});"
+    result = "void"
+    if "LANES(" in SIGNATURES[function]:
+        result = "bool"
+    return f"    {result} (*{function})({declare_arguments(SIGNATURES[function])});"
 
 
 def _print_functions(
     components: Iterable[Functions], calls: Sequence[str]
 ) -> tuple[list[str], dict[str, list[str]]]:
+    """Return the texts of the functions, and the names of `refused` and of `calls` by component."""
     texts: dict[str, str] = {}
     by_body: dict[str, str] = {}
     names: dict[str, list[str]] = {}
@@ -247,10 +310,13 @@ def _print_functions(
         c_functions = _texts(functions, calls)
         for function, text in c_functions.items():
             name = f"{functions.name}_{function}"
+            # A function with the same body as one before serves both components.
             c_functions[function] = by_body.setdefault(text.replace(name, "", 1), name)
             if c_functions[function] == name:
                 texts[name] = text
-        refused = f"{functions.name}_refused" if _has_function("refused", functions) else "NULL"
+        refused = "NULL"
+        if _has_function("refused", functions):
+            refused = f"{functions.name}_refused"
         names[functions.name] = [refused, *(c_functions.get(n, "NULL") for n in calls)]
     return list(texts.values()), names
 
@@ -271,11 +337,16 @@ def _texts(functions: Functions, needed: Sequence[str]) -> dict[str, str]:
 
 
 def _coupling(coupling: Coupling | None, joints: int) -> str:
+    forward = np.eye(joints)
+    backward = np.eye(joints)
+    if coupling is not None:
+        forward = coupling.forward
+        backward = coupling.backward
     lines = []
-    for name in ("forward", "backward"):
-        matrix = getattr(coupling, name) if coupling else np.eye(joints)
-        rows = (f"    {{{', '.join(literal(float(x)) for x in row)}}}," for row in matrix)
-        lines += [f"static const double {name}[JOINTS][JOINTS] = {{", *rows, "};"]
+    for name, matrix in (("forward", forward), ("backward", backward)):
+        lines.append(f"static const double {name}[JOINTS][JOINTS] = {{")
+        lines += [f"    {{{', '.join(map(literal, row))}}}," for row in matrix.tolist()]
+        lines.append("};")
     return "\n".join(lines)
 
 
@@ -312,41 +383,34 @@ def _count(component: Component, gathered: bool, name: str) -> int:
 
 def _count_inputs(joint: Joint) -> int:
     component = joint.component
-    return (
-        len(component.inputs)
-        + len(component.shared)
-        + (len(component.parameters) if joint.gathered else 0)
-    )
+    count = len(component.inputs) + len(component.shared)
+    if joint.gathered:
+        count += len(component.parameters)
+    return count
 
 
 def _row(
-    joint: Joint,
-    i: int,
-    functions: Functions,
-    interface: Interface,
-    before: int,
-    names: Sequence[str],
+    joint: Joint, i: int, functions: Functions, interface: Interface, first_switch: int
 ) -> list[str]:
+    """Return the first members of a row of the table of joints, as in its type `Joint`."""
     component = joint.component
-    first_state, first_start, first_parameter = (
-        interface.first(variables) if variables else 0
-        for variables in ((*joint.states, *joint.derivatives), joint.starts, joint.parameters)
-    )
+    constants = "NULL"
+    if joint.constants:
+        constants = f"constants_{i}"
+    slope = -1
+    if joint.slope:
+        slope = interface.places[joint.slope]
     row = (
         *(len(functions.gathers), f"inputs_{i}", len(component.outputs), f"outputs_{i}"),
-        *(len(component.memory), first_state, first_start),
-        *(len(component.parameters), first_parameter),
-        f"constants_{i}" if joint.constants else "NULL",
-        len(component.remembered),
-        interface.places[joint.slope] if joint.slope else -1,
-        *(
-            len(functions.jumps.expressions),
-            _count_indicators(functions),
-            before,
-            f"{functions.name}_names",
-        ),
+        len(component.memory),
+        _first_place(interface, (*joint.states, *joint.derivatives)),
+        _first_place(interface, joint.starts),
+        *(len(component.parameters), _first_place(interface, joint.parameters), constants),
+        *(len(component.remembered), slope),
+        *(len(functions.jumps.expressions), _count_indicators(functions), first_switch),
+        f"{functions.name}_names",
     )
-    return [*map(str, row), *names]
+    return list(map(str, row))
 
 
 def _has_function(function: str, functions: Functions) -> bool:
