@@ -90,11 +90,9 @@ class Functions:
     def gathers(self) -> tuple[Quantity, ...]:
         """Arguments stored in u."""
         component = self.component
-        return (
-            *component.inputs,
-            *(component.parameters if self.gathered else ()),
-            *component.shared,
-        )
+        if self.gathered:
+            return (*component.inputs, *component.parameters, *component.shared)
+        return (*component.inputs, *component.shared)
 
     @property
     def _inputs(self) -> tuple[sympy.Symbol, ...]:
@@ -102,11 +100,9 @@ class Functions:
 
     @property
     def _parameters(self) -> tuple[sympy.Symbol, ...]:
-        return (
-            ()
-            if self.gathered
-            else tuple(quantity.symbol for quantity in self.component.parameters)
-        )
+        if self.gathered:
+            return ()
+        return tuple(quantity.symbol for quantity in self.component.parameters)
 
     @cached_property
     def _arguments(self) -> Arguments:
@@ -120,7 +116,9 @@ class Functions:
 
     @cached_property
     def _seeds(self) -> dict[sympy.Symbol, sympy.Symbol]:
-        moving = (*(self._parameters if self.tunable else ()), *self._inputs, *self._states)
+        moving = [*self._inputs, *self._states]
+        if self.tunable:
+            moving = [*self._parameters, *moving]
         return {symbol: change_symbol(symbol) for symbol in moving}
 
     @cached_property
@@ -128,9 +126,9 @@ class Functions:
         arguments = self._arguments
         places = ((self._parameters, "dk"), (self._inputs, "du"), (self._states, "tx"))
         for symbols, array in places:
-            arguments = arguments.add_array(
-                (self._seeds[s] if s in self._seeds else sympy.Dummy() for s in symbols), array
-            )
+            # Elements that do not change keep their place, under a symbol that is never read.
+            seeds = (self._seeds.get(symbol, sympy.Dummy()) for symbol in symbols)
+            arguments = arguments.add_array(seeds, array)
         return arguments
 
     def _head(self, function: str) -> str:
@@ -150,8 +148,9 @@ class Functions:
         *,
         held: bool = False,
     ) -> str:
-        extended_program = {**program, **derive_changes(seeds, program)}
-        extended_program = self.jumps.hold_signs(extended_program) if held else extended_program
+        extended_program: Assignments = {**program, **derive_changes(seeds, program)}
+        if held:
+            extended_program = self.jumps.hold_signs(extended_program)
         return function(self._head(name), extended_program, targets, self._seeded_arguments.places)
 
     def _print_evaluation(self, name: str, array: str, expressions: Iterable[sympy.Expr]) -> str:
@@ -215,7 +214,9 @@ class Functions:
         for requirement in self.component.requirements:
             place = names.index(requirement.name)
             unit = self.gathers[place].unit
-            unit_text = "" if unit == "1" else f" {unit}"
+            unit_text = ""
+            if unit != "1":
+                unit_text = f" {unit}"
             lines += [
                 f"if (!({expression_to_c(requirement.condition, places)})) {{",
                 f'    *needed = "{unit_text}; it must {requirement.text}.";',
@@ -277,24 +278,26 @@ class Functions:
             ("c", "c", self.invariant),
             ("x", "v", self._states),
         )
-        places = {
-            symbol: (f"{name}_{i}", f"{array}[{name}_at[l] + {i}]")
-            for name, array, symbols in argument_arrays
-            for i, symbol in enumerate(symbols)
-        }
-        places |= {s: (f"u_{i}", f"v[u_at[{i}][l]]") for i, s in enumerate(self._inputs)}
+        places: dict[sympy.Symbol, tuple[str, str]] = {}
+        for name, array, symbols in argument_arrays:
+            for i, symbol in enumerate(symbols):
+                places[symbol] = (f"{name}_{i}", f"{array}[{name}_at[l] + {i}]")
+        for i, symbol in enumerate(self._inputs):
+            places[symbol] = (f"u_{i}", f"v[u_at[{i}][l]]")
         return self._print_lanes("together", Arguments(places))
 
     def _print_lanes(self, name: str, places: Arguments) -> str:
         invariants = self._invariants
         places = places.add_scalar(DT, "dt").add_scalar(EULER, "euler")
-        used_symbols = set().union(
-            *(expression.free_symbols for expression in invariants.moving.values())
-        )
-        pairs = zip(self.jumps.signs, self.jumps.expressions, strict=True)
-        lines = {s: sgn(expression) for s, expression in pairs if s in used_symbols} | dict(
-            invariants.moving
-        )
+        used_symbols = set()
+        for expression in invariants.moving.values():
+            used_symbols |= expression.free_symbols
+        # Lanes have no events: they compute the signs that others hold.
+        lines = {}
+        for sign, expression in zip(self.jumps.signs, self.jumps.expressions, strict=True):
+            if sign in used_symbols:
+                lines[sign] = sgn(expression)
+        lines |= invariants.moving
         targets = _array("x", self._moved) | _array("y", self._outputs)
         targets = {f"{place}[l]": symbol for place, symbol in targets.items()}
         return print_function(self._head(name), lines, invariants.names, targets, places.places)
