@@ -93,13 +93,15 @@ def is_exposed(law: FrictionLaw) -> bool:
 
 def place(law: FrictionLaw, number: int) -> Place:
     """Return the names of a joint's variables; joints count from 1."""
+    parameters: tuple[str, ...] = ()
+    if is_exposed(law):
+        parameters = tuple(f"joint[{number}].{name}" for name in law.values)
+    state_names = [element.name for element in law.form.memory]
     return Place(
-        states=tuple(f"{element.name}[{number}]" for element in law.form.memory),
-        derivatives=tuple(f"der({element.name}[{number}])" for element in law.form.memory),
-        starts=tuple(f"{element.name}_start[{number}]" for element in law.form.memory),
-        parameters=tuple(f"joint[{number}].{name}" for name in law.values)
-        if is_exposed(law)
-        else (),
+        states=tuple(f"{name}[{number}]" for name in state_names),
+        derivatives=tuple(f"der({name}[{number}])" for name in state_names),
+        starts=tuple(f"{name}_start[{number}]" for name in state_names),
+        parameters=parameters,
     )
 
 
@@ -133,7 +135,9 @@ def component(
     component = replace(
         form.component, parameters=law.form.coefficients, shared=shared, equations=equations
     )
-    return component if events else remove_events(component)
+    if not events:
+        component = remove_events(component)
+    return component
 
 
 def friction_equations(
@@ -200,11 +204,11 @@ def find_joint_signals(name: str, coordinate: int, coupling: Coupling | None) ->
     """Return the variables of joints that a signal of a friction coordinate depends on."""
     if coupling is None:
         return (f"{name}[{coordinate}]",)
-    matrix = coupling.backward if name == TAU_LOAD.name else coupling.forward
-    return tuple(
-        f"{name}[{m + 1}]"
-        for m in np.flatnonzero(np.abs(matrix[coordinate - 1]) > _MIN_COEFFICIENT)
-    )
+    matrix = coupling.forward
+    if name == TAU_LOAD.name:
+        matrix = coupling.backward
+    added_joints = np.flatnonzero(np.abs(matrix[coordinate - 1]) > _MIN_COEFFICIENT)
+    return tuple(f"{name}[{j + 1}]" for j in added_joints)
 
 
 def find_added_coordinates(number: int, coupling: Coupling | None) -> tuple[int, ...]:
@@ -224,15 +228,13 @@ def _find_joint_inputs(coupling: Coupling | None, coordinate: int) -> dict[str, 
 def _output_dependencies(
     model: FrictionModel, joints: tuple[Joint, ...], number: int, output: Equation
 ) -> tuple[str, ...]:
-    added = output.name in (TORQUE, LOWER, UPPER)
-    coordinates = find_added_coordinates(number, model.coupling) if added else (number,)
-    names = [
-        name
-        for i in coordinates
-        for name in dependencies(
-            joints[i - 1], output.symbol, _find_joint_inputs(model.coupling, i)
-        )
-    ]
+    coordinates: tuple[int, ...] = (number,)
+    if output.name in (TORQUE, LOWER, UPPER):
+        coordinates = find_added_coordinates(number, model.coupling)
+    names: list[str] = []
+    for i in coordinates:
+        inputs = _find_joint_inputs(model.coupling, i)
+        names += dependencies(joints[i - 1], output.symbol, inputs)
     return tuple(dict.fromkeys(names))
 
 
@@ -268,8 +270,11 @@ def typed_variable(
 
 
 def _trained_size(model: FrictionModel, quantity: Quantity, number: int) -> float:
-    trained_range = model.trained[number - 1] if model.trained else None
-    return _round_nominal(max(map(abs, getattr(trained_range, quantity.name, (0.0,)))))
+    """Return the nominal value of a joint's quantity from the range of its logs, 1 if unknown."""
+    if not model.trained:
+        return 1.0
+    limits = getattr(model.trained[number - 1], quantity.name, (0.0,))
+    return _round_nominal(max(map(abs, limits)))
 
 
 def discretisation(model: FrictionModel, description: str) -> Variable:
@@ -308,9 +313,12 @@ def band_numbers(model: FrictionModel) -> Iterator[Variable]:
     )
     for number in NUMBERS:
         for i, law in enumerate(model.laws, start=1):
-            start = law.band.values[number.name] if law.band else 0.0
-            lower = None if number.logical else 0.0
-            yield build_joint_variable(model, number, i, "tunable", start=start, least=lower)
+            attributes: dict[str, float] = {"start": 0.0}
+            if law.band:
+                attributes["start"] = law.band.values[number.name]
+            if not number.logical:
+                attributes["least"] = 0.0
+            yield build_joint_variable(model, number, i, "tunable", **attributes)
 
 
 def build_joints(
@@ -329,25 +337,36 @@ def build_joints(
         joint_component = component(
             law, extra_outputs, band=band, coupled=model.coupling is not None, events=events
         )
-        stems = {
-            quantity.name: quantity.name
-            for quantity in (
-                *joint_component.inputs,
-                *joint_component.shared,
-                *joint_component.outputs,
-            )
-        } | (names or {})
-        joint_names = {name: f"{stem}[{number}]" for name, stem in stems.items()}
+        joint_names = _name_quantities(joint_component, number, names or {})
+        if band:
+            joint_names[COVERAGE.name] = COVERAGE.name  # one for all joints
+        constants: tuple[float, ...] = ()
+        if not is_exposed(law):
+            constants = tuple(law.values.values())
+        slope = ""
+        if not names:
+            slope = f"{SLOPE.name}[{number}]"
         joints.append(
             Joint(
                 component=joint_component,
-                names=joint_names | ({COVERAGE.name: COVERAGE.name} if band else {}),
+                names=joint_names,
                 **vars(place(law, number)),
-                constants=() if is_exposed(law) else tuple(law.values.values()),
-                slope="" if names else f"{SLOPE.name}[{number}]",
+                constants=constants,
+                slope=slope,
             )
         )
     return tuple(joints)
+
+
+def _name_quantities(component: Component, number: int, stems: Mapping[str, str]) -> dict[str, str]:
+    """Return the variables of a joint's quantities; `stems` has stems that are not their names."""
+    quantities: tuple[Quantity, ...] = (
+        *component.inputs,
+        *component.shared,
+        *component.outputs,
+    )
+    names = {**{quantity.name: quantity.name for quantity in quantities}, **stems}
+    return {name: f"{stem}[{number}]" for name, stem in names.items()}
 
 
 def dependencies(
@@ -364,18 +383,19 @@ def dependencies(
     """
     component = joint.component
     beginnings = initial_state(component.memory, component.settling)
-    used_symbols = (
-        find_sources(beginnings, symbol)
-        if symbol in beginnings
-        else component.find_sources(symbol, starting=starting)
-    )
+    if symbol in beginnings:
+        used_symbols = find_sources(beginnings, symbol)
+        state_names = joint.starts
+    else:
+        used_symbols = component.find_sources(symbol, starting=starting)
+        state_names = joint.states
+    if inputs is None:
+        inputs = {}
     variable_names: list[str] = []
     for quantity in (*component.inputs, *component.shared):
         if quantity.symbol in used_symbols:
-            variable_names += (inputs or {}).get(quantity.name, (joint.names[quantity.name],))
-    states = zip(
-        component.memory, joint.starts if symbol in beginnings else joint.states, strict=True
-    )
+            variable_names += inputs.get(quantity.name, (joint.names[quantity.name],))
+    states = zip(component.memory, state_names, strict=True)
     variable_names += [name for element, name in states if element.state in used_symbols]
     parameters = zip(component.parameters, joint.parameters, strict=False)
     variable_names += [name for quantity, name in parameters if quantity.symbol in used_symbols]
@@ -393,16 +413,17 @@ def law_variables(
     memory = [law_elements.get(m.name, m) for m in joint_equations.component.memory]
     elements = list(zip(memory, joint_equations.states, joint_equations.derivatives, strict=True))
     for element, state, _ in elements:
+        size = 1.0
+        if element.name in law_elements:
+            size = nominal(law, element)
+        start_names = dependencies(joint_equations, initial_symbol(element), inputs)
         yield Variable(
             state,
             "state",
             f"friction state {element.name} of joint {number}",
             unit=element.unit,
-            nominal=nominal(law, element) if element.name in law_elements else 1.0,
-            initial_dependencies=(
-                START_MODE,
-                *dependencies(joint_equations, initial_symbol(element), inputs),
-            ),
+            nominal=size,
+            initial_dependencies=(START_MODE, *start_names),
         )
     for element, state, derivative in elements:
         yield Variable(
@@ -413,9 +434,11 @@ def law_variables(
             derivative_of=state,
             dependencies=dependencies(joint_equations, element.derivative, inputs),
         )
-    first = (*(0.0,) * (len(memory) - len(law.start)), *law.start)
+    # States that are not of the law come first, and begin at zero.
+    added = (0.0,) * (len(memory) - len(law.start))
+    starts = (*added, *law.start)
     for (element, state, _), name, start in zip(
-        elements, joint_equations.starts, first, strict=True
+        elements, joint_equations.starts, starts, strict=True
     ):
         text = f"start value of {state}; if the start is steady, that of a start at rest"
         yield Variable(name, "fixed", text, unit=element.unit, start=start)
@@ -436,23 +459,30 @@ def nominal(law: FrictionLaw, element: Element) -> float:
     operating_point = {
         quantity.symbol: law.values[quantity.name] for quantity in law.form.coefficients
     }
-    operating_point |= (
-        dict.fromkeys(INPUTS, 0.0) | {DQ: _NOMINAL_SPEED} | {m.state: 0.0 for m in law.form.memory}
-    )
+    operating_point |= dict.fromkeys(INPUTS, 0.0)
+    operating_point |= {memory_element.state: 0.0 for memory_element in law.form.memory}
+    operating_point[DQ] = _NOMINAL_SPEED
     numbers = {symbol: sympy.Float(value) for symbol, value in operating_point.items()}
-    first, second = (float(e.xreplace(numbers)) for e in element.parts)
-    if isinstance(element, Relaxation):
-        return _round_nominal(abs(first / second) if second else 0.0)
-    return _round_nominal(second)
+    first, second = (float(part.xreplace(numbers)) for part in element.parts)
+    if not isinstance(element, Relaxation):
+        return _round_nominal(second)
+    if second == 0.0:
+        return 1.0
+    return _round_nominal(abs(first / second))
 
 
 def _round_nominal(size: float) -> float:
-    return float(f"{size:.2g}") if 0.0 < size < inf else 1.0
+    """Return a size with two digits, 1 for one that is no scale: zero, infinite or not a number."""
+    if not 0.0 < size < inf:
+        return 1.0
+    return float(f"{size:.2g}")
 
 
 def _per_second(unit: str) -> str:
     numerator, slash, denominator = unit.partition("/")
-    return f"{numerator}/({denominator}.s)" if slash else f"{numerator}/s"
+    if not slash:
+        return f"{unit}/s"
+    return f"{numerator}/({denominator}.s)"
 
 
 def to_sliding(variable: Variable, words: Mapping[str, str]) -> Variable:
