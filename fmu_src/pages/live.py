@@ -8,7 +8,6 @@ import re
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
-from itertools import zip_longest
 from math import floor, log10
 from pathlib import Path
 from typing import Any
@@ -83,6 +82,7 @@ _MIN_FREQUENCY = 0.05
 _MAX_FREQUENCY = 5.0  # [Hz]
 _MIN_SLIDER_ROWS = 20  # rows of a cycle
 _DEFAULT_FREQUENCY = 0.25  # [Hz], as in the FMU's picture
+_CONNECTORS = (*(quantity.name for quantity in INPUTS), "tau")
 _UNITS = {"velocity": "rad/s", "position": "rad", "time": "s", "torque": "N.m"}
 _DEFAULT_LOAD = 20.0  # default load [N.m]
 _MIN_FIELD_ROWS = 4
@@ -159,92 +159,114 @@ def read_live_data(text: str, path: Path) -> dict[str, Any]:
 def live_data(model: FrictionModel, interface: Interface, module: bytes) -> dict[str, Any]:
     """Return the JSON data of an interactive section; `module` is the result of `wasm`."""
     trained_ranges = model.trained or (None,) * len(model.joints)
-    connectors = (*(u.name for u in INPUTS), "tau")
     joints = []
     for i, (name, law, trained_range, slides) in enumerate(
         zip(model.joints, model.laws, trained_ranges, model.slides, strict=True), start=1
     ):
-        motion = _motion(law, trained_range, model.sample_time)
-        motion = (replace(k, unit=unit_of_joint(k.unit, is_prismatic=slides)) for k in motion)
-        joints.append(
-            {
-                "name": name,
-                "references": {x: interface.places[f"{x}[{i}]"] for x in connectors},
-                "units": {
-                    x: unit_of_joint(unit, is_prismatic=slides) for x, unit in _UNITS.items()
-                },
-                "speeds": list(trained_range.dq) if trained_range else None,
-                "motion": list(map(asdict, motion)),
-                "coefficients": list(map(asdict, _coefficients(law, i, interface))),
-            }
-        )
+        motion = [
+            replace(knob, unit=unit_of_joint(knob.unit, is_prismatic=slides))
+            for knob in _motion(law, trained_range, model.sample_time)
+        ]
+        speeds = None
+        if trained_range is not None:
+            speeds = list(trained_range.dq)
+        joint = {
+            "name": name,
+            "references": {x: interface.places[f"{x}[{i}]"] for x in _CONNECTORS},
+            "units": {x: unit_of_joint(unit, is_prismatic=slides) for x, unit in _UNITS.items()},
+            "speeds": speeds,
+            "motion": list(map(asdict, motion)),
+            "coefficients": list(map(asdict, _coefficients(law, i, interface))),
+        }
+        joints.append(joint)
     return {"module": pack_module(module), "step": model.sample_time, "joints": joints}
 
 
 def _motion(
     law: FrictionLaw, trained_range: TrainedRange | None, step_size: float
 ) -> Iterator[Knob]:
+    """Yield the knobs of a joint's motion."""
+    middle = 0.0
+    lowest_load = 0.0
+    highest_load = 0.0
+    if trained_range is not None:
+        middle = trained_range.middle
+        lowest_load, highest_load = trained_range.tau_load
     speed = trained_speed(trained_range)
     digits = 2 - floor(log10(speed))
     amplitude = floor(speed * 10.0**digits) / 10.0**digits  # short, and within the trained range
     low = _round_number(speed / 200.0)
     high = _round_number(2.0 * speed)
     yield Knob("amplitude", "velocity amplitude", "rad/s", amplitude, low, high, "log", least=0.0)
-    fastest = max(min(_MAX_FREQUENCY, 1.0 / (_MIN_SLIDER_ROWS * step_size)), 2.0 * _MIN_FREQUENCY)
-    high = _round_number(fastest)
-    field_min = min(_MIN_FREQUENCY, _round_number(1.0 / (_MAX_CYCLE_ROWS * step_size)))
-    field_max = max(high, _round_number(1.0 / (_MIN_FIELD_ROWS * step_size)))
-    start_frequency = min(_DEFAULT_FREQUENCY, fastest)
-    yield Knob(
-        "frequency",
-        "frequency",
-        "Hz",
-        start_frequency,
-        _MIN_FREQUENCY,
-        high,
-        "log",
-        field_min,
-        field_max,
-    )
+    yield _frequency(step_size)
     text = "cycles, the last one drawn in full"
     yield Knob("cycles", text, "", 3.0, 1.0, 10.0, "whole", least=1.0, most=_MAX_CYCLES)
     if Q in law.form.inputs:
-        middle = trained_range.middle if trained_range else 0.0
         low = _round_number(middle - 3.0)
         high = _round_number(middle + 3.0)
         yield Knob("centre", "centre of the positions", "rad", middle, low, high)
     if TAU_LOAD in law.form.inputs:
-        low, high = trained_range.tau_load if trained_range else (0.0, 0.0)
-        reach = max(high - low, abs(low), abs(high)) or _DEFAULT_LOAD
-        middle = 0.5 * (low + high)
-        low = _round_number(middle - reach)
-        high = _round_number(middle + reach)
-        yield Knob("load", "load torque, constant", "N.m", middle, low, high)
+        load_range = highest_load - lowest_load
+        reach = max(load_range, abs(lowest_load), abs(highest_load)) or _DEFAULT_LOAD
+        load = 0.5 * (lowest_load + highest_load)
+        low = _round_number(load - reach)
+        high = _round_number(load + reach)
+        yield Knob("load", "load torque, constant", "N.m", load, low, high)
+
+
+def _frequency(step_size: float) -> Knob:
+    """Return the knob of the frequency; a cycle has neither too few nor too many rows."""
+    fastest = max(min(_MAX_FREQUENCY, 1.0 / (_MIN_SLIDER_ROWS * step_size)), 2.0 * _MIN_FREQUENCY)
+    high = _round_number(fastest)
+    return Knob(
+        "frequency",
+        "frequency",
+        "Hz",
+        min(_DEFAULT_FREQUENCY, fastest),
+        _MIN_FREQUENCY,
+        high,
+        "log",
+        least=min(_MIN_FREQUENCY, _round_number(1.0 / (_MAX_CYCLE_ROWS * step_size))),
+        most=max(high, _round_number(1.0 / (_MIN_FIELD_ROWS * step_size))),
+    )
 
 
 def _coefficients(law: FrictionLaw, number: int, interface: Interface) -> Iterator[Knob]:
+    """Yield the knobs of a joint's coefficients, if they are parameters, and of its factors."""
     parameter_names = place(law, number).parameters
-    names = (*parameter_names, *scale_names(number))
-    for name, coefficient in zip_longest(names, law.form.coefficients if parameter_names else ()):
-        reference = interface.places[name]
-        variable = interface.variables[reference]
-        factor = coefficient is None or _is_factor(law.form, coefficient.symbol)
-        lower = variable.least
-        upper = variable.greatest
-        low, high, kind = ends(variable.start, factor=factor)
-        yield Knob(
-            coefficient.name if coefficient else name,
-            variable.description,
-            "" if variable.unit in (None, "1") else str(variable.unit),
-            variable.start,
-            low if lower is None else max(low, lower),
-            high if upper is None else min(high, upper),
-            kind,
-            lower,
-            upper,
-            symbol=symbol(coefficient.name) if coefficient else "",
-            reference=reference,
-        )
+    if parameter_names:
+        for name, coefficient in zip(parameter_names, law.form.coefficients, strict=True):
+            factor = _is_factor(law.form, coefficient.symbol)
+            knob = _parameter_knob(interface, name, factor=factor)
+            yield replace(knob, name=coefficient.name, symbol=symbol(coefficient.name))
+    for name in scale_names(number):
+        yield _parameter_knob(interface, name, factor=True)
+
+
+def _parameter_knob(interface: Interface, name: str, *, factor: bool) -> Knob:
+    """Return the knob of a parameter, within its limits; see `ends` for `factor`."""
+    reference = interface.places[name]
+    variable = interface.variables[reference]
+    low, high, kind = ends(variable.start, factor=factor)
+    if variable.least is not None:
+        low = max(low, variable.least)
+    if variable.greatest is not None:
+        high = min(high, variable.greatest)
+    unit = ""
+    if variable.unit not in (None, "1"):
+        unit = str(variable.unit)
+    return Knob(
+        name,
+        variable.description,
+        unit,
+        variable.start,
+        low,
+        high,
+        kind,
+        least=variable.least,
+        most=variable.greatest,
+        reference=reference,
+    )
 
 
 def ends(value: float, *, factor: bool) -> tuple[float, float, str]:
@@ -264,13 +286,21 @@ def ends(value: float, *, factor: bool) -> tuple[float, float, str]:
 
 
 def _is_factor(form: LawForm, c: sympy.Symbol) -> bool:
-    inner = {s for element in form.memory for part in element.parts for s in part.free_symbols}
+    """Return whether the output is linear in a coefficient: a plain factor of all its terms."""
     # A state's derivative contains the coefficients of its element.
-    terms = (term for term in sympy.Add.make_args(form.output) if term.has(c))
-    return c not in inner and all(
-        c in (parts := sympy.Mul.make_args(term)) and not any(p.has(c) for p in parts if p != c)
-        for term in terms
-    )
+    for element in form.memory:
+        if any(c in part.free_symbols for part in element.parts):
+            return False
+    terms = [term for term in sympy.Add.make_args(form.output) if term.has(c)]
+    return all(_is_plain_factor(c, term) for term in terms)
+
+
+def _is_plain_factor(c: sympy.Symbol, term: sympy.Expr) -> bool:
+    """Return whether a term is a coefficient times what does not contain it."""
+    factors = sympy.Mul.make_args(term)
+    if c not in factors:
+        return False
+    return not any(factor.has(c) for factor in factors if factor != c)
 
 
 def _round_number(value: float) -> float:
