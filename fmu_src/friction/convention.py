@@ -75,16 +75,17 @@ def judge(fmu: Path) -> FrictionModel:
         variables = model_description(fmu).modelVariables
     except SimulationError:  # the static checks report the cause
         return model
-    has = {(v.name, v.causality) for v in variables}
-    joints = range(1, len(model.joints) + 1)
-    needed = [(f"{symbol.name}[{i}]", "input") for symbol in INPUTS for i in joints]
-    for name, kind in (*needed, *((f"tau[{i}]", "output") for i in joints)):
-        if (name, kind) not in has:
+    declared = {(v.name, v.causality) for v in variables}
+    needed: list[tuple[str, str]] = []
+    for name, kind in (*((symbol.name, "input") for symbol in INPUTS), (TORQUE, "output")):
+        needed += [(f"{name}[{i}]", kind) for i in range(1, len(model.joints) + 1)]
+    for name, kind in needed:
+        if (name, kind) not in declared:
             raise SimulationError(
                 f"{fmu}: the check 'convention' needs a friction FMU (velocity in, torque out); "
                 f"this one has no {kind} '{name}'."
             )
-    if model.thermal or ("adapt", "input") in has:
+    if model.thermal or ("adapt", "input") in declared:
         raise SimulationError(
             f"{fmu}: the check 'convention' does not support adaptive or thermal FMUs."
         )

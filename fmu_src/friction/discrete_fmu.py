@@ -31,18 +31,19 @@ def discrete_equations(
     joints = [
         _joint(model, i, component, switches) for i, component in enumerate(components, start=1)
     ]
-    factors = friction_component.scales(model) if components[0].shared else ()
-    signals = (*_signals(model, joints, switches), friction_component.start_mode(), *factors)
+    variables = [*_signals(model, joints, switches), friction_component.start_mode()]
+    if components[0].shared:
+        variables += friction_component.scales(model)
+    variables += _joint_variables(model, components, joints)
     interface = Interface(
-        variables=(*signals, *_joint_variables(model, components, joints)),
+        variables=tuple(variables),
         indicators=indicators(joints),
         own=memory_size(joints),
         model_exchange=False,
         directional_derivatives=False,
     )
-    return interface, equations_header(
-        joints, interface, {"START_MODE": friction_component.START_MODE}
-    )
+    places = {"START_MODE": friction_component.START_MODE}
+    return interface, equations_header(joints, interface, places)
 
 
 THERMAL_LINES = (
@@ -115,22 +116,30 @@ def _joint(
     model: FrictionModel, i: int, component: Component, switches: Sequence[Quantity]
 ) -> Joint:
     place = friction_component.place(model.laws[i - 1], i)
-    slow = tuple(element.name for element in component.memory if isinstance(element, Slow))
+    slow_names = [element.name for element in component.memory if isinstance(element, Slow)]
     names = {
         quantity.name: f"{quantity.name}[{i}]"
         for quantity in (*component.inputs, *component.shared, *component.outputs)
     }
-    # Joints that differ only in starts share C code.
-    parameters = (replace(p, description="", unit="1") for p in component.parameters)
-    bare = tuple(replace(p, start=0.0) if isinstance(p, Parameter) else p for p in parameters)
+    # One switch serves all joints.
+    names |= {switch.name: switch.name for switch in switches}
+    parameters = tuple(map(_without_start, component.parameters))
     return Joint(
-        component=replace(component, parameters=bare),
-        names=names | {switch.name: switch.name for switch in switches},
-        states=(*(f"{n}[{i}]" for n in slow), *place.states),
-        derivatives=(*(f"der({n}[{i}])" for n in slow), *place.derivatives),
-        starts=(*(f"{n}_start[{i}]" for n in slow), *place.starts),
+        component=replace(component, parameters=parameters),
+        names=names,
+        states=(*(f"{name}[{i}]" for name in slow_names), *place.states),
+        derivatives=(*(f"der({name}[{i}])" for name in slow_names), *place.derivatives),
+        starts=(*(f"{name}_start[{i}]" for name in slow_names), *place.starts),
         parameters=tuple(f"joint[{i}].{p.name}" for p in component.parameters),
     )
+
+
+def _without_start(parameter: Quantity) -> Quantity:
+    """Return a parameter without what C lacks: joints that differ only in it share C code."""
+    parameter = replace(parameter, description="", unit="1")
+    if isinstance(parameter, Parameter):
+        return replace(parameter, start=0.0)
+    return parameter
 
 
 def _signals(
@@ -146,8 +155,10 @@ def _signals(
             yield replace(variable, start=1.0)
             continue
         for i, _ in enumerate(joints, start=1):
-            # The factors of temperature are 1 at the reference.
-            start = model.thermal[i - 1].reference if quantity == TEMPERATURE else 0.0
+            start = 0.0
+            if quantity == TEMPERATURE:
+                # The factors of temperature are 1 at the reference.
+                start = model.thermal[i - 1].reference
             yield friction_component.build_joint_variable(model, quantity, i, "input", start=start)
     for quantity in component.outputs:
         for i, joint in enumerate(joints, start=1):

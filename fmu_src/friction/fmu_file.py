@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 from numpy.typing import ArrayLike
 
@@ -35,6 +36,21 @@ class FmuVariable:
     unit: str
     start: str
     description: str
+
+
+def _read_variable(variable: Any) -> FmuVariable:
+    """Return a variable of FMPy, with the defaults of FMI for what is not declared."""
+    unit = variable.unit
+    if not unit and variable.declaredType:
+        unit = variable.declaredType.unit
+    return FmuVariable(
+        type=variable.type,
+        causality=variable.causality or "local",
+        variability=variable.variability or "continuous",
+        unit=unit or "",
+        start=variable.start or "",
+        description=variable.description or "",
+    )
 
 
 class Fmu:
@@ -80,15 +96,7 @@ class Fmu:
         about = model_description(self.path)
         self._fmi: str = about.fmiVersion
         self.variables: Mapping[str, FmuVariable] = {
-            v.name: FmuVariable(
-                type=v.type,
-                causality=v.causality or "local",
-                variability=v.variability or "continuous",
-                unit=v.unit or (v.declaredType and v.declaredType.unit) or "",
-                start=v.start or "",
-                description=v.description or "",
-            )
-            for v in about.modelVariables
+            variable.name: _read_variable(variable) for variable in about.modelVariables
         }
         if trust:
             remember(self.path)

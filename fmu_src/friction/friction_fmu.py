@@ -83,12 +83,11 @@ def export_fmu(
             )
         content = _thermal_content(model, bare=no_documentation)
     else:
+        extra_outputs: tuple[Equation, ...] = ()
+        if power:
+            extra_outputs = (POWER,)
         content = _component(
-            model,
-            (POWER,) if power else (),
-            band=band,
-            low_pass=low_pass,
-            no_events=no_events,
+            model, extra_outputs, band=band, low_pass=low_pass, no_events=no_events
         )
         if not no_documentation:
             content = _add_documentation(content, _add_low_pass(model, low_pass), properties, audit)
@@ -133,8 +132,13 @@ def _add_documentation(
         live = live_section(live_data(model, bare.table, module.result()))
         live += live_assets(fit_tables=True)
     audit = audit or _examine(model)
-    sheet = plugins.find("hesr.sheets", "properties") if properties else None
-    page = sheet(properties, sliding=model.sliding) if sheet else ""
+    certificates: Sequence[Certificate] = ()
+    if audit is not None:
+        certificates = audit.certificates
+    page = ""
+    if properties is not None:
+        write_section = plugins.find("hesr.sheets", "properties")
+        page = write_section(properties, sliding=model.sliding)
     html = to_html(model, bare.table, bare.about, live=live, properties=page, audit=audit)
     members = {
         "model.png": picture,
@@ -142,7 +146,6 @@ def _add_documentation(
         **bare.members,
         **reference_files(model, bare.about.identifier),
     }
-    certificates = audit.certificates if audit else ()
     return replace(bare, members=members, origin=describe_origin(model, certificates))
 
 
@@ -258,7 +261,11 @@ def fmu_date(model: FrictionModel) -> datetime:
         elif created is not None:
             date = datetime.fromisoformat(str(created))
     except (ValueError, OverflowError, OSError) as error:
-        observation = f"SOURCE_DATE_EPOCH is '{epoch}'" if epoch else f"'created' is '{created}'"
+        observation = f"'created' is '{created}'"
+        if epoch:
+            observation = f"SOURCE_DATE_EPOCH is '{epoch}'"
         raise ExportError(f"{observation}; it must be a date.") from error
-    date = date.astimezone(UTC) if date.tzinfo else date.replace(tzinfo=UTC)
+    if date.tzinfo is None:
+        date = date.replace(tzinfo=UTC)
+    date = date.astimezone(UTC)
     return min(max(date, _FIRST_DATE), _LAST_DATE)

@@ -33,7 +33,12 @@ def predict_model(
         model.predict(log_records, measured_start=measured_start)
         for log_records in zip(*records, strict=True)
     ]
-    return [[torque[:, j] for torque in torques] for j in range(len(records))]
+    return [_select_joint(torques, j) for j in range(len(records))]
+
+
+def _select_joint(torques: Sequence[Array], joint: int) -> list[Array]:
+    """Return the columns (N,) of a joint of the torques (N, n) of each log."""
+    return [torque[:, joint] for torque in torques]
 
 
 def predict_fmu(fmu: Path, records: Records, *, measured_start: bool = False) -> list[list[Array]]:
@@ -42,35 +47,48 @@ def predict_fmu(fmu: Path, records: Records, *, measured_start: bool = False) ->
     With `measured_start` the model inside the FMU estimates the initial state.
     """
     from fmu_src.friction.embedded_model import read_embedded_model
-    from fmu_src.friction.friction_component import GIVEN, START_MODE, place
     from fmu_src.friction.replay import replay
 
-    model = read_embedded_model(fmu) if measured_start else None
+    model = None
+    if measured_start:
+        model = read_embedded_model(fmu)
     torques = []
     for log_records in zip(*records, strict=True):
         start: dict[str, float] = {}
         if model is not None and len(model.laws) == len(log_records):
-            coordinate_records = transform_records(
-                [replace(r, coupling=model.coupling) for r in log_records]
-            )
-            start[START_MODE] = GIVEN
-            for i, (law, record) in enumerate(
-                zip(model.laws, coordinate_records, strict=True), start=1
-            ):
-                initial_inputs = (float(getattr(record, u)[0]) for u in ("dq", "q", "tau_load"))
-                estimated = law.start_samples > 0
-                values = (
-                    record_start(law, record) if estimated else first_states(law, *initial_inputs)
-                )
-                start |= dict(zip(place(law, i).starts, values, strict=True))
-        dq, q, tau_load = (
-            np.column_stack([getattr(r, u) for r in log_records]) for u in ("dq", "q", "tau_load")
-        )
+            start = _estimate_start(model, log_records)
         temperatures = [r.temperature for r in log_records if r.temperature is not None]
-        temperature = (
-            np.column_stack(temperatures) if len(temperatures) == len(log_records) else None
+        temperature = None
+        if len(temperatures) == len(log_records):
+            temperature = np.column_stack(temperatures)
+        torque = replay(
+            fmu,
+            log_records[0].t,
+            np.column_stack([record.dq for record in log_records]),
+            np.column_stack([record.q for record in log_records]),
+            np.column_stack([record.tau_load for record in log_records]),
+            start=start,
+            temperature=temperature,
         )
-        torques.append(
-            replay(fmu, log_records[0].t, dq, q, tau_load, start=start, temperature=temperature)
-        )
-    return [[torque[:, j] for torque in torques] for j in range(len(records))]
+        torques.append(torque)
+    return [_select_joint(torques, j) for j in range(len(records))]
+
+
+def _estimate_start(
+    model: FrictionModel, log_records: Sequence[FrictionRecord]
+) -> dict[str, float]:
+    """Return the start values of an FMU's states, from the first rows of a log of all joints."""
+    from fmu_src.friction.friction_component import GIVEN, START_MODE, place
+
+    coupled_records = [replace(record, coupling=model.coupling) for record in log_records]
+    coordinate_records = transform_records(coupled_records)
+    start = {START_MODE: GIVEN}
+    for i, (law, record) in enumerate(zip(model.laws, coordinate_records, strict=True), start=1):
+        if law.start_samples > 0:
+            values = record_start(law, record)
+        else:
+            values = first_states(
+                law, float(record.dq[0]), float(record.q[0]), float(record.tau_load[0])
+            )
+        start |= dict(zip(place(law, i).starts, values, strict=True))
+    return start

@@ -98,11 +98,10 @@ class ReferenceMotion:
 
     def columns(self) -> dict[str, Array]:
         """Return the inputs (N,) of a friction FMU by name."""
-        return {
-            name: column
-            for symbol in INPUTS
-            for name, column in joint_columns(symbol.name, getattr(self, symbol.name)).items()
-        }
+        columns: dict[str, Array] = {}
+        for symbol in INPUTS:
+            columns |= joint_columns(symbol.name, getattr(self, symbol.name))
+        return columns
 
     def to_friction(self, coupling: Coupling | None) -> "ReferenceMotion":
         """Return the motion of the friction coordinates."""
@@ -139,7 +138,9 @@ def torques(
             for law, inputs in zip(model.laws, friction_motion.iterate_joints(), strict=True)
         ]
         torque = np.column_stack(columns)
-        return torque if model.coupling is None else model.coupling.to_joints(torque)
+        if model.coupling is not None:
+            torque = model.coupling.to_joints(torque)
+        return torque
 
 
 def errors(motion: "ReferenceMotion", torque: Array, truth: Array) -> tuple[Error, ...]:
@@ -150,12 +151,10 @@ def errors(motion: "ReferenceMotion", torque: Array, truth: Array) -> tuple[Erro
         motion.dq.T, (torque - truth).T, resting_speeds, strict=True
     ):
         is_near = near_reversals(motion.t, dq, resting_speed)
-        joint_errors.append(
-            Error(
-                rmse=rmse(difference),
-                rmse_reversal=rmse(difference[is_near]) if np.any(is_near) else None,
-            )
-        )
+        rmse_reversal = None
+        if np.any(is_near):
+            rmse_reversal = rmse(difference[is_near])
+        joint_errors.append(Error(rmse=rmse(difference), rmse_reversal=rmse_reversal))
     return tuple(joint_errors)
 
 
@@ -164,24 +163,27 @@ def _torque(
 ) -> Array:
     if setting == "direct":
         return _predict_law(law, t, inputs)
-    if setting in ("hold", SHOWN):
-        held_inputs = [np.concatenate([u[:1], u[:-1]]) for u in inputs]
-        return _predict_law(law, t, held_inputs, inputs if setting == SHOWN else None)
+    held_inputs = [np.concatenate([u[:1], u[:-1]]) for u in inputs]
+    if setting == "hold":
+        return _predict_law(law, t, held_inputs)
+    if setting == SHOWN:
+        return _predict_law(law, t, held_inputs, inputs)
     if setting == "linear":
         return _read_at_rows(law, t, inputs, 1)
     return _read_at_rows(replace(law, discretisation="exact"), t, inputs, substeps)
 
 
 def _read_at_rows(law: FrictionLaw, t: Array, inputs: Sequence[Array], substeps: int) -> Array:
+    """Return the torque (N,) at the rows, under inputs held at the middle of each substep."""
     ends = np.arange(1, substeps + 1) / substeps
 
     def interpolate(row: Array, share: Array) -> Array:
         inner = row[:-1, None] * (1.0 - share) + row[1:, None] * share
         return np.concatenate([row[:1], inner.ravel()])
 
-    middle_inputs, end_inputs = (
-        [interpolate(u, share) for u in inputs] for share in (ends - 0.5 / substeps, ends)
-    )
+    middles = ends - 0.5 / substeps
+    middle_inputs = [interpolate(u, middles) for u in inputs]
+    end_inputs = [interpolate(u, ends) for u in inputs]
     return _predict_law(law, interpolate(t, ends), middle_inputs, end_inputs)[::substeps]
 
 
@@ -209,9 +211,12 @@ def reference_motion(
     about the middle of the trained positions, or 0. Rows are by default at the model's sample time;
     the velocity grows from rest over `lead_in` [s].
     """
-    count = round(periods / (frequency * model.sample_time)) if rows is None else rows
-    step_size = model.sample_time if rows is None else periods / (frequency * rows)
-    t = np.round(step_size * np.arange(count), 12)
+    if rows is None:
+        step_size = model.sample_time
+        rows = round(periods / (frequency * step_size))
+    else:
+        step_size = periods / (frequency * rows)
+    t = np.round(step_size * np.arange(rows), 12)
     columns = [
         _build_joint_motion(t, trained_range, 2.0 * np.pi * frequency, i * phase, lead_in)
         for i, trained_range in enumerate(model.trained or (None,) * len(model.joints), start=1)
@@ -224,11 +229,18 @@ def _build_joint_motion(
     t: Array, trained_range: TrainedRange | None, rate: float, angle: float, lead_in: float
 ) -> tuple[Array, Array, Array]:
     """Return (dq, q, tau_load) of one joint; `rate` is in rad/s, `angle` at t = 0 in rad."""
-    envelope = 0.5 - 0.5 * np.cos(np.pi * np.minimum(t / lead_in, 1.0)) if lead_in else 1.0
+    middle = 0.0
+    lowest = 0.0
+    highest = 0.0
+    if trained_range is not None:
+        middle = trained_range.middle
+        lowest, highest = trained_range.tau_load
+    envelope = np.ones(len(t))
+    if lead_in:
+        envelope = 0.5 - 0.5 * np.cos(np.pi * np.minimum(t / lead_in, 1.0))
     dq = trained_speed(trained_range) * envelope * np.sin(rate * t + angle)
     q = _integral(dq, t)
-    q += (trained_range.middle if trained_range else 0.0) - 0.5 * (q.min() + q.max())
-    lowest, highest = trained_range.tau_load if trained_range else (0.0, 0.0)
+    q += middle - 0.5 * (q.min() + q.max())
     # Slightly within the range, because of round-off.
     load = 0.5 * (lowest + highest) + 0.49 * (highest - lowest) * np.cos(rate * t + angle)
     return dq, q, load
@@ -253,7 +265,9 @@ def trained_speed(trained_range: TrainedRange | None) -> float:
     if trained_range is None:
         return UNKNOWN_SPEED
     both_ways = min(-trained_range.dq[0], trained_range.dq[1])
-    return both_ways if both_ways > 0.0 else trained_range.speed
+    if both_ways <= 0.0:
+        return trained_range.speed  # trained in one direction only
+    return both_ways
 
 
 def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
@@ -303,19 +317,18 @@ def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
 
 
 def _units(sliding: Sequence[bool]) -> str:
-    turning_units, sliding_units = (
-        ", ".join(
-            ["s", *(unit_of_joint(unit, is_prismatic=slides) for unit in ("rad", "rad/s", "N.m"))]
-        )
-        for slides in (False, True)
-    )
+    """Return the units of the files, with those of sliding joints if there are any."""
     if not any(sliding):
-        return turning_units
-    return (
-        sliding_units
-        if all(sliding)
-        else f"{turning_units}; {sliding_units} of a joint that slides"
-    )
+        return _list_units(is_prismatic=False)
+    sliding_units = _list_units(is_prismatic=True)
+    if all(sliding):
+        return sliding_units
+    return f"{_list_units(is_prismatic=False)}; {sliding_units} of a joint that slides"
+
+
+def _list_units(*, is_prismatic: bool) -> str:
+    units = [unit_of_joint(unit, is_prismatic=is_prismatic) for unit in ("rad", "rad/s", "N.m")]
+    return ", ".join(["s", *units])
 
 
 def _motion(model: FrictionModel, step_size: float, lead_in: float = 0.0) -> ReferenceMotion:
@@ -339,5 +352,7 @@ def _co_simulation(model: FrictionModel) -> tuple[float, ReferenceMotion, Array]
             torque = torques(model, motion, "hold")
         except SimulationError:
             continue
-        return (step, motion, torque) if np.all(np.isfinite(torque)) else None
+        if not np.all(np.isfinite(torque)):
+            return None
+        return step, motion, torque
     return None

@@ -1,6 +1,6 @@
 """Replay of a log by a friction FMU."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -42,12 +42,11 @@ def replay(
         raise SimulationError(f"{instance.fmu}: the log to be replayed has no samples.")
     names = {variable.name for variable in instance.description.modelVariables}
     joint_count = sum(name.startswith("tau[") for name in names)
-    numbers = range(1, joint_count + 1)
     columns = {DQ.name: dq, Q.name: q, TAU_LOAD.name: tau_load}
     is_thermal = f"{TEMPERATURE.name}[1]" in names
     if is_thermal and temperature is None:
-        heated = {f"joint[{i}].{THERMOMETER}": 0.0 for i in numbers}
-        start = heated | dict(start or {})
+        without_thermometer = {f"joint[{i}].{THERMOMETER}": 0.0 for i in range(1, joint_count + 1)}
+        start = without_thermometer | dict(start or {})
     elif is_thermal:
         columns[TEMPERATURE.name] = temperature
     shape = (len(time), joint_count)
@@ -55,17 +54,40 @@ def replay(
         [_column_of_log(instance.fmu, name, values, shape) for name, values in columns.items()]
     )
     _require_increase(instance.fmu, time)
-    inputs = instance.buffer([f"{name}[{i}]" for name in columns for i in numbers])
-    outputs = instance.buffer([f"{output}[{i}]" for i in numbers])
-    torque = np.empty(shape)
+    input_names = _name_elements(columns, joint_count)
+    output_names = _name_elements([output], joint_count)
+    torque = _run_rows(instance, input_names, output_names, time, rows, start)
+    require_finite(instance.fmu, time, torque)
+    return torque
+
+
+def _name_elements(vectors: Iterable[str], joint_count: int) -> list[str]:
+    """Return the names of the elements of vectors over all joints."""
+    names: list[str] = []
+    for vector in vectors:
+        names += [f"{vector}[{i}]" for i in range(1, joint_count + 1)]
+    return names
+
+
+def _run_rows(
+    instance: FmuInstance,
+    input_names: list[str],
+    output_names: list[str],
+    time: Array,
+    rows: Array,
+    start: Mapping[str, float] | None,
+) -> Array:
+    """Return outputs (N, outputs) of an FMU that steps to each time (N,) [s] under its row."""
+    inputs = instance.buffer(input_names)
+    outputs = instance.buffer(output_names)
+    results = np.empty((len(time), len(output_names)))
     if instance.used:
         instance.reset()
     inputs.values[:] = rows[0]
     instance.initialise(time=float(time[0]), start=start, inputs=inputs)
-    torque[0] = outputs.read()
-    torque[1:] = step_rows(instance, inputs, outputs, time[:-1], np.diff(time), rows[1:])
-    require_finite(instance.fmu, time, torque)
-    return torque
+    results[0] = outputs.read()
+    results[1:] = step_rows(instance, inputs, outputs, time[:-1], np.diff(time), rows[1:])
+    return results
 
 
 def _column_of_log(fmu: Path, name: str, values: ArrayLike | None, shape: tuple[int, int]) -> Array:

@@ -71,40 +71,61 @@ def find_discretisation(model: FrictionModel) -> str:
             f"friction model '{model.law}': its joints use both exact and Euler integration; "
             "expected one for all joints."
         )
-    return discretisations.pop() if discretisations else "exact"
+    if not discretisations:
+        return "exact"
+    return discretisations.pop()
 
 
 def to_text(expression: sympy.Expr) -> str:
     """Return a readable expression, truncated if long."""
     text = str(sympy.sstr(expression)).replace("absolute(", "abs(")
-    return text if len(text) <= _MAX_EXPRESSION_LENGTH else f"{text[:_MAX_EXPRESSION_LENGTH]}..."
+    if len(text) > _MAX_EXPRESSION_LENGTH:
+        text = f"{text[:_MAX_EXPRESSION_LENGTH]}..."
+    return text
 
 
 def _find_undefined_part(law: FrictionLaw) -> sympy.Expr | None:
-    values = {
-        quantity.symbol: sympy.Float(law.values[quantity.name])
-        for quantity in law.form.coefficients
-    }
-    replacements: dict[sympy.Basic, sympy.Basic] = {}
-    # Functions of undefined values get one arbitrary value each.
-    opaque: dict[tuple[sympy.Basic, ...], sympy.Basic] = {}
-    form = law.form
-    for expression in (*(part for element in form.memory for part in element.parts), form.output):
+    """Return the first part of a law without a finite value, whatever the inputs are."""
+    evaluation = _Evaluation(law)
+    expressions: list[sympy.Expr] = []
+    for element in law.form.memory:
+        expressions += element.parts
+    for expression in (*expressions, law.form.output):
         # Parts before the expressions that contain them.
         for part in sympy.postorder_traversal(expression):
-            if part not in replacements:
-                arguments = tuple(replacements[argument] for argument in part.args)
-                if isinstance(part, sympy.Function) and not all(a.is_number for a in arguments):
-                    replacements[part] = opaque.setdefault(
-                        (part.func, *arguments), sympy.Dummy(real=True)
-                    )
-                else:
-                    replacements[part] = (
-                        part.func(*arguments) if part.args else values.get(part, part)
-                    )
-                if isinstance(part, sympy.Expr) and _is_undefined(replacements[part]):
-                    return part
+            if part in evaluation.values:
+                continue
+            value = evaluation.evaluate(part)
+            if isinstance(part, sympy.Expr) and _is_undefined(value):
+                return part
     return None
+
+
+class _Evaluation:
+    """Values of the parts of a law, for its coefficients; inputs and states stay symbols."""
+
+    def __init__(self, law: FrictionLaw) -> None:
+        self._coefficients = {
+            quantity.symbol: sympy.Float(law.values[quantity.name])
+            for quantity in law.form.coefficients
+        }
+        self.values: dict[sympy.Basic, sympy.Basic] = {}
+        # Functions of undefined values get one arbitrary value each.
+        self._opaque: dict[tuple[sympy.Basic, ...], sympy.Basic] = {}
+
+    def evaluate(self, part: sympy.Basic) -> sympy.Basic:
+        """Return and remember the value of an expression, whose arguments were evaluated before."""
+        self.values[part] = self._compute(part)
+        return self.values[part]
+
+    def _compute(self, part: sympy.Basic) -> sympy.Basic:
+        if not part.args:
+            return self._coefficients.get(part, part)
+        arguments = [self.values[argument] for argument in part.args]
+        has_symbols = not all(argument.is_number for argument in arguments)
+        if isinstance(part, sympy.Function) and has_symbols:
+            return self._opaque.setdefault((part.func, *arguments), sympy.Dummy(real=True))
+        return part.func(*arguments)
 
 
 def _is_undefined(value: sympy.Basic) -> bool:
