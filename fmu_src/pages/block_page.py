@@ -67,11 +67,9 @@ def component_page(component: Component, notes: Sequence[str] = ()) -> BlockPage
 def equation_lines(component: Component) -> list[str]:
     """Return the equations of one joint as text, then the values before the first sample."""
     printer = _Printer([quantity for quantity in component.shared if isinstance(quantity, Choice)])
-    lines = [
-        line
-        for equation in component.equations
-        for line in printer.lines(equation.name, equation.expression)
-    ]
+    lines: list[str] = []
+    for equation in component.equations:
+        lines += printer.lines(equation.name, equation.expression)
     starts = component.starts.items()
     return lines + [f"{name} = {printer.doprint(start)} at the start" for name, start in starts]
 
@@ -88,16 +86,21 @@ class _Printer(StrPrinter):  # type: ignore[misc] # SymPy is not typed
         if not isinstance(expression, sympy.Piecewise):
             yield f"{name} = {self.doprint(expression)}"
             return
-        for k, (value, condition) in enumerate(expression.args):
-            prefix = f"{name} = " if k == 0 else " " * len(f"{name} = ")
-            end = "otherwise" if condition == sympy.true else f"if {self.doprint(condition)}"
-            yield f"{prefix}{self.doprint(value)}, {end}"
+        prefix = f"{name} = "
+        for value, condition in expression.args:
+            case = "otherwise"
+            if condition != sympy.true:
+                case = f"if {self.doprint(condition)}"
+            yield f"{prefix}{self.doprint(value)}, {case}"
+            prefix = " " * len(prefix)  # further cases are aligned with the first
 
     def _print_Piecewise(self, expr: sympy.Piecewise) -> str:
         *cases, (last, condition) = expr.args
         texts = [f"{self._print(e)} if {self._print(c)}" for e, c in cases]
-        end = "" if condition == sympy.true else f" if {self._print(condition)}"
-        return f"{{{', '.join([*texts, f'else {self._print(last)}{end}'])}}}"
+        otherwise = f"else {self._print(last)}"
+        if condition != sympy.true:
+            otherwise += f" if {self._print(condition)}"
+        return f"{{{', '.join([*texts, otherwise])}}}"
 
     def _print_Relational(self, expr: sympy.Rel) -> str:
         if isinstance(expr, sympy.Eq) and expr.lhs in self._choices:
@@ -117,14 +120,20 @@ def _rows(interface: Interface, roles: Sequence[Role]) -> Iterator[dict[str, Any
         first_variable = array.elements[0]
         if first_variable.role not in roles:
             continue
-        items = first_variable.enumeration.items if first_variable.enumeration else ()
+        start = ""
+        if not first_variable.computed:
+            start = _start_text(array)
+        choices: list[tuple[int, str, str]] = []
+        if first_variable.enumeration is not None:
+            items = first_variable.enumeration.items
+            choices = [(k, name, text) for k, (name, text) in enumerate(items, start=1)]
         yield {
             "name": _indexed_name(array),
             "unit": _unit_text(first_variable),
-            "start": "" if first_variable.computed else _start_text(array),
+            "start": start,
             "changes": _CHANGES.get(first_variable.role, ""),
             "text": _common_text(array),
-            "choices": [(k, name, text) for k, (name, text) in enumerate(items, start=1)],
+            "choices": choices,
         }
 
 
@@ -137,7 +146,9 @@ def _indexed_name(array: ArrayVariable) -> str:
 def _unit_text(variable: Variable) -> str:
     if variable.boolean:
         return "boolean"
-    return "integer" if variable.integer or variable.enumeration else variable.unit or "1"
+    if variable.integer or variable.enumeration:
+        return "integer"
+    return variable.unit or "1"
 
 
 def _start_text(array: ArrayVariable) -> str:

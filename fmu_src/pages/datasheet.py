@@ -109,18 +109,18 @@ def describe_certificate(certificate: Certificate, *, slides: bool = False) -> s
         sentence = f"not passive, refuted by a cycle: {certificate.cycle.text}"
     else:
         sentence = f"{certificate.label} without energy gain; no proof: {certificate.rests_on[0]}"
-    for unit in ("N.m.s/rad", "N.m", "rad/s"):
-        sentence = (
-            sentence.replace(unit, unit_of_joint(unit, is_prismatic=slides)) if slides else sentence
-        )
+    if slides:
+        for unit in ("N.m.s/rad", "N.m", "rad/s"):
+            sentence = sentence.replace(unit, unit_of_joint(unit, is_prismatic=True))
     return f"{sentence}."
 
 
 def audit_rows(joint_audits: Sequence[Audit], sliding: Sequence[bool] = ()) -> dict[str, list[str]]:
     """Return the figures of audits as text: labels, and a cell per joint."""
-    speed, torque, slope, angle = (
-        unit_of_joints(unit, sliding) for unit in ("rad/s", "N.m", "N.m.s/rad", "µrad")
-    )
+    speed = unit_of_joints("rad/s", sliding)
+    torque = unit_of_joints("N.m", sliding)
+    slope = unit_of_joints("N.m.s/rad", sliding)
+    angle = unit_of_joints("µrad", sliding)
     labels = (
         f"Steady sliding drives the joint for dq [{speed}]",
         f"The same without any offset, for |dq| [{speed}]",
@@ -133,23 +133,32 @@ def audit_rows(joint_audits: Sequence[Audit], sliding: Sequence[bool] = ()) -> d
         f"Largest |tau| within the range [{torque}]",
         f"Largest |tau| up to {REACH:g} times outside [{torque}]",
     )
-    columns = list(map(_audit_cells, joint_audits))
-    return {label: [cells[i] for cells in columns] for i, label in enumerate(labels)}
+    rows: dict[str, list[str]] = {label: [] for label in labels}
+    for joint_audit in joint_audits:
+        for label, cell in zip(labels, _audit_cells(joint_audit), strict=True):
+            rows[label].append(cell)
+    return rows
 
 
 def _audit_cells(a: Audit) -> tuple[str, ...]:
-    cycle = a.generating
+    """Return the figures of an audit in the order of the labels of `audit_rows`."""
+    cycle_text = "–"
+    if a.generating is not None:
+        cycle_text = f"{figure(a.generating.amplitude, 2)}, {figure(a.generating.frequency, 2)}"
+    largest_outside = figure(a.largest_outside, 3)
+    if a.explodes:
+        largest_outside += ": explodes"
     return (
         _ranges(a.driving),
         _ranges(a.driving_both_ways),
         figure(a.generated, 3),
-        f"{figure(cycle.amplitude, 2)}, {figure(cycle.frequency, 2)}" if cycle else "–",
+        cycle_text,
         figure(a.jump, 3),
         figure(a.slope),
         figure(a.slope_of_step),
         figure(a.chatter, 3),
         figure(a.largest, 3),
-        figure(a.largest_outside, 3) + (": explodes" if a.explodes else ""),
+        largest_outside,
     )
 
 
@@ -184,21 +193,22 @@ def costs(model: FrictionModel, motion: ReferenceMotion) -> dict[str, dict[str, 
     fine = torques(model, motion, CONTINUOUS)
     if not np.all(np.isfinite([fine, *torque_by_setting.values()])):
         raise SimulationError("the torque is not finite on this motion.")
-    truths = {
-        "the log's convention": torque_by_setting["direct"],
-        "the law in continuous time": fine,
-    }
+
+    def compare_with(truth: Array) -> dict[str, tuple[Error, ...]]:
+        return {
+            setting: errors(motion, torque, truth) for setting, torque in torque_by_setting.items()
+        }
+
     return {
-        name: {setting: errors(motion, tau, truth) for setting, tau in torque_by_setting.items()}
-        for name, truth in truths.items()
+        "the log's convention": compare_with(torque_by_setting["direct"]),
+        "the law in continuous time": compare_with(fine),
     }
 
 
 def find_fastest_rates(law: FrictionLaw, trained_range: TrainedRange) -> dict[str, float]:
     """Return the largest rate [1/s] of each state within a range."""
-    speeds = np.unique(
-        [*np.linspace(*trained_range.dq, 401), *np.clip([-1e-3, 0.0, 1e-3], *trained_range.dq)]
-    )
+    slow_speeds = np.clip([-1e-3, 0.0, 1e-3], *trained_range.dq)
+    speeds = np.unique([*np.linspace(*trained_range.dq, 401), *slow_speeds])
     positions = np.linspace(*trained_range.q, 33)
     loads = np.unique([*trained_range.tau_load, np.clip(0.0, *trained_range.tau_load)])
     grid: list[Array] = [u.ravel() for u in np.meshgrid(speeds, positions, loads)]

@@ -100,14 +100,17 @@ def _predict_sliding(law: FrictionLaw, speeds: Array) -> Array:
     exact_law = replace(law, discretisation="exact")
     # The first row has no previous step.
     signed_speeds = np.concatenate([[0.0], speeds, -speeds])
-    tau = predict(exact_law, t=_CRAWL_DURATION * np.arange(len(signed_speeds)), dq=signed_speeds)[
-        1:
-    ]
+    t = _CRAWL_DURATION * np.arange(len(signed_speeds))
+    tau = predict(exact_law, t=t, dq=signed_speeds)[1:]
     return np.asarray(0.5 * (tau[: len(speeds)] - tau[len(speeds) :]))
 
 
 def _describe_standstill(law: FrictionLaw, *, slides: bool) -> str:
-    effort, unit = ("force", "N") if slides else ("torque", "N.m")
+    effort = "torque"
+    unit = "N.m"
+    if slides:
+        effort = "force"
+        unit = "N"
     with np.errstate(all="ignore"):  # non-finite values hold nothing
         holding = holding_torque(law)
         stopping = stopping_torque(law)
@@ -141,10 +144,15 @@ def to_html(
     It needs only `model.png` next to its folder. The audit is computed by default.
     """
     units = {name: unit_of_joints(unit, model.sliding) for name, unit in _UNITS.items()}
-    used_symbols = {symbol for law in model.laws for symbol in law.form.inputs}
+    used_symbols: set[sympy.Symbol] = set()
+    for law in model.laws:
+        used_symbols |= set(law.form.inputs)
     titles = list(dict.fromkeys(title(law) for law in model.laws))
     start = interface.variables[interface.places["discretisation"]].start
-    errors = [f"{error:.3g}" for error in model.training_rmse]
+    training_rmse = {}
+    if model.training_rmse:
+        label = f"RMSE on the training logs [{units['tau']}]"
+        training_rmse[label] = [f"{error:.3g}" for error in model.training_rmse]
     return render_template(
         "index.html.j2",
         about=about,
@@ -161,7 +169,7 @@ def to_html(
         training=training(model.provenance),
         units=units,
         trained_rows=_trained_rows(model.trained, units),
-        training_rmse={f"RMSE on the training logs [{units['tau']}]": errors} if errors else {},
+        training_rmse=training_rmse,
         band_rows=_band_rows(model, units),
         **_collect_audit(model, audit),
     )
@@ -172,7 +180,9 @@ def title(law: FrictionLaw, otherwise: str | None = None) -> str:
     try:
         return estimator(law.name).title
     except ArtifactError:
-        return law.name if otherwise is None else otherwise
+        if otherwise is None:
+            return law.name
+        return otherwise
 
 
 def model_title(model: FrictionModel) -> str:
@@ -233,25 +243,29 @@ def _band_rows(model: FrictionModel, units: Mapping[str, str]) -> dict[str, list
 
 
 def _joint(number: int, name: str, law: FrictionLaw) -> dict[str, Any]:
+    """Return the template's data of a joint."""
+    exposed = is_exposed(law)
+    numbers: list[str] = []
+    if exposed:  # equations of networks with numbers are not readable
+        numbers = equations_with_numbers(law)
+    switches = {}
+    for z in Jumps(law.form.component).expressions:
+        switches[str(z).replace("absolute(", "abs(")] = figure(_half_jump(law, z))
     return {
         "number": number,
         "name": name,
         "law": title(law),
         "equations": equations(law),
         "text": form_lines(law.form),
-        # Equations of networks with numbers are not readable.
-        "numbers": equations_with_numbers(law) if is_exposed(law) else [],
+        "numbers": numbers,
         "rows": _rows(law, number),
-        "exposed": is_exposed(law),
+        "exposed": exposed,
         "intervals": bool(law.standard_errors),
         "uncertainty": _explain_intervals(law),
         "states": [element.name for element in law.form.memory],
         "starts": [figure(value, 6) for value in law.start],
         "start_samples": law.start_samples,
-        "switches": {
-            str(z).replace("absolute(", "abs("): figure(_half_jump(law, z))
-            for z in Jumps(law.form.component).expressions
-        },
+        "switches": switches,
     }
 
 
@@ -260,45 +274,53 @@ def _half_jump(law: FrictionLaw, z: sympy.Expr) -> float:
     output = law.form.output
     numbers = dict.fromkeys(output.free_symbols, 0.0)
     numbers |= {quantity.symbol: law.values[quantity.name] for quantity in law.form.coefficients}
-    ahead, back = (
-        float(output.xreplace({sgn(z): sympy.Integer(sign)}).subs(numbers)) for sign in (1, -1)
-    )
-    return abs(ahead - back) / 2.0
+
+    def evaluate_beside(sign: int) -> float:
+        return float(output.xreplace({sgn(z): sympy.Integer(sign)}).subs(numbers))
+
+    return abs(evaluate_beside(1) - evaluate_beside(-1)) / 2.0
 
 
 def _rows(law: FrictionLaw, number: int) -> list[dict[str, str]]:
-    prefix = f"joint[{number}]." if is_exposed(law) else ""
-    errors = law.standard_errors
-    return [
-        {
+    """Return the table of a law's coefficients."""
+    prefix = ""
+    if is_exposed(law):
+        prefix = f"joint[{number}]."
+    rows = []
+    for quantity in law.form.coefficients:
+        value = law.values[quantity.name]
+        interval = "–"
+        if quantity.name in law.standard_errors:
+            interval = f"± {figure(_INTERVAL * law.standard_errors[quantity.name], 2)}"
+        unit = "–"
+        if quantity.unit != "1":
+            unit = quantity.unit
+        row = {
             "symbol": symbol(quantity.name),
             "name": f"{prefix}{quantity.name}",
-            "value": figure(law.values[quantity.name], 6),
-            "exact": f"{law.values[quantity.name]:.17g}",
-            "interval": f"± {figure(_INTERVAL * errors[quantity.name], 2)}"
-            if quantity.name in errors
-            else "–",
-            "unit": "–" if quantity.unit == "1" else quantity.unit,
+            "value": figure(value, 6),
+            "exact": f"{value:.17g}",
+            "interval": interval,
+            "unit": unit,
             "text": quantity.description,
         }
-        for quantity in law.form.coefficients
-    ]
+        rows.append(row)
+    return rows
 
 
 def training(provenance: Mapping[str, Any]) -> dict[str, Any]:
     """Return the provenance of the model, with file names but without folders."""
-    file_records = [f for f in provenance.get("files") or () if isinstance(f, Mapping)]
-    files = [(str(f.get("name", "")), str(f.get("sha256", ""))) for f in file_records]
+    files = []
+    for record in provenance.get("files") or ():
+        if isinstance(record, Mapping):
+            path = PurePosixPath(str(record.get("name", "")).replace("\\", "/"))
+            files.append({"name": path.name, "sha256": str(record.get("sha256", ""))})
+    remarks = list(statements(provenance))
+    remarks += [str(provenance[key]) for key in ("source", "note") if provenance.get(key)]
     versions = provenance.get("versions") or {}
     return {
-        "remarks": [
-            *statements(provenance),
-            *(str(provenance[key]) for key in ("source", "note") if provenance.get(key)),
-        ],
-        "files": [
-            {"name": PurePosixPath(name.replace("\\", "/")).name, "sha256": digest}
-            for name, digest in files
-        ],
+        "remarks": remarks,
+        "files": files,
         "seed": provenance.get("seed"),
         "versions": ", ".join(f"{name} {number}" for name, number in versions.items()),
     }
@@ -309,15 +331,13 @@ def _trained_rows(
 ) -> dict[str, list[str]]:
     if not trained_ranges:
         return {}
-    rows = {
-        f"{name} [{units[name]}]": [
-            spell_interval(getattr(trained_range, name)) for trained_range in trained_ranges
-        ]
-        for name in _RANGES
-    }
-    return rows | {
-        "sample time [s]": [figure(trained_range.sample_time) for trained_range in trained_ranges]
-    }
+    rows = {}
+    for name in _RANGES:
+        intervals = [getattr(trained_range, name) for trained_range in trained_ranges]
+        rows[f"{name} [{units[name]}]"] = list(map(spell_interval, intervals))
+    sample_times = [trained_range.sample_time for trained_range in trained_ranges]
+    rows["sample time [s]"] = list(map(figure, sample_times))
+    return rows
 
 
 def _collect_audit(model: FrictionModel, audit: ModelAudit | None) -> dict[str, Any]:
@@ -329,12 +349,15 @@ def _collect_audit(model: FrictionModel, audit: ModelAudit | None) -> dict[str, 
     try:
         trained_ranges = datasheet.ranges(model, motion)
         template_values["rates"] = list(map(_rate_rows, model.laws, trained_ranges))
-        proofs = audit.certificates if audit else datasheet.certificates(model, trained_ranges)
+        if audit is None:
+            proofs = datasheet.certificates(model, trained_ranges)
+        else:
+            proofs = audit.certificates
         pairs = zip(proofs, slides, strict=True)
         template_values["certified"] = [
             datasheet.describe_certificate(c, slides=s) for c, s in pairs
         ]
-        audits = audit.audits if audit else datasheet.audits(model, trained_ranges)
+        audits = datasheet.audits(model, trained_ranges) if audit is None else audit.audits
         template_values["audit"] = datasheet.audit_rows(audits, model.sliding)
         rows = zip(audits, slides, strict=True)
         template_values["verdicts"] = [
@@ -351,22 +374,26 @@ def _collect_audit(model: FrictionModel, audit: ModelAudit | None) -> dict[str, 
 
 
 def _cost_rows(costs: Mapping[str, Sequence[Error]]) -> dict[str, list[tuple[str, str]]]:
-    return {
-        f"{setting}: {SETTINGS[setting]}": [
-            (_torque(e.rmse), _torque(e.rmse_reversal)) for e in joint_errors
-        ]
-        for setting, joint_errors in costs.items()
-    }
+    """Return a row per convention, with the errors of each joint over all rows and at reversals."""
+    rows = {}
+    for setting, joint_errors in costs.items():
+        cells = [(_torque(error.rmse), _torque(error.rmse_reversal)) for error in joint_errors]
+        rows[f"{setting}: {SETTINGS[setting]}"] = cells
+    return rows
 
 
 def _torque(value: float | None) -> str:
-    return "–" if value is None else f"{value:.2f}"
+    if value is None:
+        return "–"
+    return f"{value:.2f}"
 
 
 def _rate_rows(law: FrictionLaw, trained_range: TrainedRange) -> list[dict[str, str]]:
     rows = []
     for name, rate in datasheet.find_fastest_rates(law, trained_range).items():
-        limits = {"rk4": datasheet.RK4, "euler": datasheet.EULER}
-        steps = {k: f"{1e3 * x / rate:.3g} ms" if rate > 0.0 else "any" for k, x in limits.items()}
-        rows.append({"name": name, "rate": figure(rate, 3), **steps})
+        row = {"name": name, "rate": figure(rate, 3), "rk4": "any", "euler": "any"}
+        if rate > 0.0:
+            row["rk4"] = f"{1e3 * datasheet.RK4 / rate:.3g} ms"
+            row["euler"] = f"{1e3 * datasheet.EULER / rate:.3g} ms"
+        rows.append(row)
     return rows

@@ -3,7 +3,7 @@
 Terms of a sum are separate `math` elements, so that a narrow page can break lines between them.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from html import escape
 from typing import Any
 
@@ -37,7 +37,10 @@ _REPLACEMENTS = {
 
 def equations(law: FrictionLaw, *, numbers: bool = False) -> list[str]:
     """Return the equations of a law as MathML, on request with values of four digits for names."""
-    printer = _Printer(law.form, law.values if numbers else {})
+    values: Mapping[str, float] = {}
+    if numbers:
+        values = law.values
+    printer = _Printer(law.form, values)
     lines = [[f"{_name('tau')}{_EQUALS}", *printer.terms(law.form.output)]]
     for element in law.form.memory:
         state = _name(element.name)
@@ -50,7 +53,12 @@ def equations(law: FrictionLaw, *, numbers: bool = False) -> list[str]:
             rate = f"<mrow><mo>(</mo>{rate}<mo>)</mo></mrow>"
         terms = (*printer.terms(element.drive), f"{_MINUS}{rate}{_TIMES}{state}")
         lines.append([f"{_add_dot(state)}{_EQUALS}", *terms])
-    return [" ".join(f'<math displaystyle="true">{part}</math>' for part in line) for line in lines]
+    return list(map(_join_parts, lines))
+
+
+def _join_parts(parts: Iterable[str]) -> str:
+    """Return the parts of an equation as elements between which a line may break."""
+    return " ".join(f'<math displaystyle="true">{part}</math>' for part in parts)
 
 
 def symbol(name: str) -> str:
@@ -63,14 +71,12 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not 
 
     def __init__(self, form: LawForm, values: Mapping[str, float]) -> None:
         super().__init__()
-        coefficients = form.coefficients
-        numbers = {
-            quantity.symbol: values[quantity.name]
-            for quantity in coefficients
+        self._values = {
+            quantity.symbol: sympy.Float(f"{values[quantity.name]:.{_DIGITS}g}")
+            for quantity in form.coefficients
             if quantity.name in values
         }
-        self._values = {s: sympy.Float(f"{x:.{_DIGITS}g}") for s, x in numbers.items()}
-        markup = {quantity.symbol: _name(quantity.name) for quantity in coefficients}
+        markup = {quantity.symbol: _name(quantity.name) for quantity in form.coefficients}
         for element in form.memory:
             markup |= {
                 element.derivative: _add_dot(_name(element.name)),
@@ -83,12 +89,18 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not 
     def terms(self, expression: sympy.Expr) -> list[str]:
         """Return the terms of a sum with their signs; a leading plus is omitted."""
         readable = self._readable(expression)
-        terms = self._as_ordered_terms(readable) if isinstance(readable, sympy.Add) else [readable]
-        parts = []
-        for i, term in enumerate(terms):
-            minus = term.could_extract_minus_sign()
-            sign = _FIRST_MINUS if minus and not i else _MINUS if minus else _PLUS if i else ""
-            parts.append(sign + self._text(-term if minus else term))
+        terms = [readable]
+        if isinstance(readable, sympy.Add):
+            terms = self._as_ordered_terms(readable)
+        parts: list[str] = []
+        for term in terms:
+            is_first = not parts
+            if term.could_extract_minus_sign():
+                sign = _FIRST_MINUS if is_first else _MINUS
+                parts.append(sign + self._text(-term))
+            else:
+                sign = "" if is_first else _PLUS
+                parts.append(sign + self._text(term))
         if len(parts) > MAX_TERMS:
             parts = [*parts[: MAX_TERMS // 2], f"{_PLUS}<mo>⋯</mo>", parts[-1]]
         return parts
@@ -114,7 +126,10 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not 
 
     def _print_Float(self, expr: sympy.Float) -> Any:
         # SymPy's products have more digits than their factors.
-        text = f"{float(expr):.{_DIGITS if self._values else 12}g}"
+        digits = 12
+        if self._values:
+            digits = _DIGITS
+        text = f"{float(expr):.{digits}g}"
         if "e" not in text:
             return self._element("mn", text)
         mantissa, exponent = text.split("e")
@@ -129,8 +144,9 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not 
         return self._write_application(expr, sympy.Integer(0))
 
     def _print_absolute(self, expr: sympy.Expr) -> Any:
-        bars = (self._element("mo", "|") for _ in range(2))
-        return self._row(next(bars), self._print(expr.args[0]), next(bars))
+        left_bar = self._element("mo", "|")
+        right_bar = self._element("mo", "|")
+        return self._row(left_bar, self._print(expr.args[0]), right_bar)
 
     def _write_application(self, expr: sympy.Expr, *extra_arguments: sympy.Expr) -> Any:
         name = expr.func.__name__
