@@ -17,13 +17,16 @@ _saved_callback: int | None = None
 def stop_clock() -> Iterator[None]:
     """Stop MuJoCo's clock, a sixth of a small arm's step; `MjData.timer` stays as it is."""
     global _users, _saved_callback
-    clock = _clock() if "mujoco" in sys.modules else None
+    clock = None
+    if "mujoco" in sys.modules:
+        clock = _clock()
     if clock is None:
         yield
         return
     with _lock:
         if not _users:
-            _saved_callback, clock.value = clock.value, None
+            _saved_callback = clock.value
+            clock.value = None
         _users += 1
     try:
         yield

@@ -53,12 +53,14 @@ _WHEELS = {
 def library(platform: str) -> Binary:
     """Return MuJoCo for a platform, to compile against and to ship; ExportError if unavailable."""
     wheel = _WHEELS[platform]
-    host_files = find_host_libraries() if platform == host_platform() else []
-    name, content = (
-        (host_files[-1].name, host_files[-1].read_bytes())
-        if host_files
-        else _download_library(platform, wheel)
-    )
+    host_files: list[Path] = []
+    if platform == host_platform():
+        host_files = find_host_libraries()
+    if host_files:
+        name = host_files[-1].name
+        content = host_files[-1].read_bytes()
+    else:
+        name, content = _download_library(platform, wheel)
     include = (f"-isystem{Path(mujoco.__file__).parent / 'include'}",)
     return Binary(name=wheel.place + name, content=content, flags=include, link=wheel.flags)
 
@@ -66,12 +68,16 @@ def library(platform: str) -> Binary:
 def find_host_libraries() -> list[Path]:
     """Return the library files of this machine in MuJoCo's package, normally one."""
     platform = host_platform()
-    return sorted(Path(mujoco.__file__).parent.glob(_WHEELS[platform].pattern)) if platform else []
+    if platform is None:
+        return []
+    return sorted(Path(mujoco.__file__).parent.glob(_WHEELS[platform].pattern))
 
 
 def _download_library(platform: str, wheel: _Wheel) -> tuple[str, bytes]:
     requirement = f"{_PACKAGE}=={version(_PACKAGE)}"
-    options = [option for tag in wheel.tags for option in ("--platform", tag)]
+    options: list[str] = []
+    for tag in wheel.tags:
+        options += ["--platform", tag]
     options += ["--no-deps", "--only-binary", ":all:", "--quiet", "--disable-pip-version-check"]
     with scratch_folder() as folder:
         command = python_command(

@@ -20,6 +20,7 @@ from fmu_src.arm.table import (
     SCALE,
     SEED,
     ArmSignals,
+    ArmStart,
     SignalTable,
     noise_name,
     variables,
@@ -63,7 +64,12 @@ def to_h(signals: ArmSignals, interface: Interface, *, state: int, digest: str) 
         f"static const {kind} {name}[] = {{{', '.join(rows[name]) or empty}}};"
         for name, (kind, _, empty) in _TABLES.items()
     ]
-    delay = signals.delay
+    longest_latency = 0.0
+    if signals.delay is not None:
+        longest_latency = signals.delay.longest
+    payload_body = -1
+    if signals.payload is not None:
+        payload_body = signals.payload
     return _SIGNALS.format(
         digest=digest,
         counts=", ".join(f"{_TABLES[name][1]} = {len(e)}" for name, e in rows.items()),
@@ -74,43 +80,54 @@ def to_h(signals: ArmSignals, interface: Interface, *, state: int, digest: str) 
         payload=indices.get(PAYLOAD, -1),
         latency=indices.get(LATENCY, -1),
         seed=indices.get(f"{SEED}[1]", -1),
-        body=-1 if signals.payload is None else signals.payload,
+        body=payload_body,
         state=state,
-        longest=literal(delay.longest if delay else 0.0),
+        longest=literal(longest_latency),
     )
 
 
 def _row(values: tuple[object, ...]) -> str:
-    texts = [literal(v) if isinstance(v, float) else str(v) for v in values]
-    return f"{{{', '.join(texts)}}}" if len(texts) > 1 else texts[0]
+    """Return a row of a table in C: a structure, or a single number."""
+    texts = list(map(_number, values))
+    if len(texts) == 1:
+        return texts[0]
+    return f"{{{', '.join(texts)}}}"
+
+
+def _number(value: object) -> str:
+    if isinstance(value, float):
+        return literal(value)
+    return str(value)
 
 
 def _rows(signals: ArmSignals, indices: Mapping[str, int]) -> dict[str, list[tuple[object, ...]]]:
-    outputs = signals.outputs
-    noisy = [o for o in outputs if o.noise is not None]
-    starts: list[tuple[object, ...]] = []
+    """Return the rows of each of `_TABLES`."""
+    rows: dict[str, list[tuple[object, ...]]] = {name: [] for name in _TABLES}
+    for arm_input in signals.inputs:
+        index = indices[arm_input.name]
+        rows["drives"] += [(index, control) for control in arm_input.controls]
+    for output in signals.outputs:
+        index = indices[output.name]
+        for address, factor, scaled in output.reads:
+            rows["reads"].append((index, address, factor, int(scaled)))
+        if output.noise is not None:
+            rows["noises"].append((index, indices[noise_name(output)], f"{output.stream}u"))
+        rows["lost"] += [(index, loss) for loss in output.losses]
     for start in signals.starts:
-        index = indices[start.name]
-        starts.append((index, 0, start.position, -1, 1.0))
-        if start.activation is not None:
-            starts += [(index, 1, start.activation, h, start.gain) for h in start.held or (-1,)]
-        if start.other is not None:
-            starts.append((index, 0, start.other, -1, 1.0))
-    return {
-        "drives": [
-            (indices[arm_input.name], c) for arm_input in signals.inputs for c in arm_input.controls
-        ],
-        "reads": [
-            (indices[o.name], address, factor, int(scaled))
-            for o in outputs
-            for address, factor, scaled in o.reads
-        ],
-        "noises": [(indices[o.name], indices[noise_name(o)], f"{o.stream}u") for o in noisy],
-        "starts": starts,
-        "rubbing": [(actuator,) for actuator in signals.friction],
-        "losses": [astuple(loss) for loss in signals.losses],
-        "lost": [(indices[o.name], index) for o in outputs for index in o.losses],
-    }
+        rows["starts"] += _start_rows(start, indices[start.name])
+    rows["rubbing"] += [(actuator,) for actuator in signals.friction]
+    rows["losses"] += [astuple(loss) for loss in signals.losses]
+    return rows
+
+
+def _start_rows(start: ArmStart, index: int) -> Iterator[tuple[object, ...]]:
+    """Yield what a start value sets: its joint, activations, and a second joint."""
+    yield index, 0, start.position, -1, 1.0
+    if start.activation is not None:
+        for held_dof in start.held or (-1,):
+            yield index, 1, start.activation, held_dof, start.gain
+    if start.other is not None:
+        yield index, 0, start.other, -1, 1.0
 
 
 _SIGNALS = """\
@@ -189,7 +206,9 @@ def export_mjcf(
 def model_name(model: Any, path: Path) -> str:
     """Return the name of the model in an MJCF, by default that of its file."""
     name = bytes(model.names).partition(b"\0")[0].decode()
-    return path.stem if name in ("", "MuJoCo Model") else name
+    if name in ("", "MuJoCo Model"):
+        return path.stem
+    return name
 
 
 def arm(
@@ -212,14 +231,13 @@ def arm(
     compiled = _binary(model)
     digest = hashlib.sha256(compiled).hexdigest()
     about = description(signals, name)
+    sources = {name: read_c_source(name) for name in _SOURCES}
+    sources["signals.h"] = to_h(signals, interface, state=state, digest=digest)
+    sources["losses.h"] = losses_header()
     return Content(
         table=interface,
         about=about,
-        sources={name: read_c_source(name) for name in _SOURCES}
-        | {
-            "signals.h": to_h(signals, interface, state=state, digest=digest),
-            "losses.h": losses_header(),
-        },
+        sources=sources,
         members={
             "resources/model.mjb": compiled,
             "resources/model.xml": source,
@@ -286,7 +304,8 @@ def _sensor_term(model: Any, address: int, factor: float, scaled: bool) -> str:
         name = f"{SCALE} {name}"
     if abs(factor) != 1:
         name = f"{abs(factor):g} {name}"
-    return f"{'-' if factor < 0 else '+'} {name}"
+    sign = "-" if factor < 0 else "+"
+    return f"{sign} {name}"
 
 
 def description(signals: ArmSignals, name: str) -> Description:

@@ -109,7 +109,8 @@ def servo_signals(
     for sensor in plant.servo.torque:
         _require(model, "sensor", sensor, plant)
     elements = [passive_motors(model, joint) for joint in plant.joints]
-    levels, rates = (np.broadcast_to(x, len(elements)) for x in (coulomb, viscous))
+    levels = np.broadcast_to(coulomb, len(elements))
+    rates = np.broadcast_to(viscous, len(elements))
     for joint_elements, level, rate in zip(elements, levels, rates, strict=True):
         model.actuator_dynprm[joint_elements, 5] *= level  # bristle stiffness
         model.actuator_biasprm[np.ix_(joint_elements, (3, 4))] *= level
@@ -118,43 +119,47 @@ def servo_signals(
 
 
 def _table(model: Any, plant: Plant, elements: Sequence[Sequence[int]]) -> SignalTable:
-    friction = [[model.actuator(i).name for i in joint_elements] for joint_elements in elements]
-    damping = [
-        float(model.joint(joint).damping[0] + model.actuator_damping[joint_elements].sum())
-        for joint, joint_elements in zip(plant.joints, elements, strict=True)
-    ]
+    """Return the signals of an arm with sensors of its joints and actuators, see `servo_signals`.
 
-    def joints(suffix: str) -> tuple[dict[str, float], ...]:
+    `elements` are the passive dcmotors of each joint.
+    """
+
+    def read_joints(suffix: str) -> tuple[dict[str, float], ...]:
         return tuple({f"/{joint}/{suffix}": 1.0} for joint in plant.joints)
 
-    forces = [{f"/{name}": -1.0 for name in joint_elements} for joint_elements in friction]
-    tau = tuple(
-        joint_torque | joint_elements
-        for joint_torque, joint_elements in zip(joints("tau"), forces, strict=True)
-    )
+    joint_torques = read_joints("tau")
+    friction: list[str] = []
+    torque_sensors = []
+    friction_sensors = []
+    for j, joint in enumerate(plant.joints):
+        names = [model.actuator(i).name for i in elements[j]]
+        friction += names
+        # A dcmotor drives the joint, friction acts against its motion.
+        forces = {f"/{name}": -1.0 for name in names}
+        damping = model.joint(joint).damping[0] + model.actuator_damping[elements[j]].sum()
+        torque_sensors.append(joint_torques[j] | forces)
+        friction_sensors.append(forces | {f"/{joint}/dq": float(damping)})
+    tau = tuple(torque_sensors)
     speeds = tuple(f"/{joint}/dq" for joint in plant.joints)
-    rows = zip(forces, speeds, damping, strict=True)
-    friction_sensors = tuple(joint_elements | {speed: rate} for joint_elements, speed, rate in rows)
     streams = tuple(range(2 * len(plant.joints)))
     noise = plant.noise
     servo = plant.servo
-    q = joints("q")
+    q = read_joints("q")
     start = StartTable(unit="rad", joints=plant.joints, integrals=servo.integral, hold=True)
+    outputs = {
+        "q": OutputTable(unit="rad", sensors=q, noise=noise.encoder, streams=streams[1::2]),
+        "tau_meas": OutputTable(unit="N.m", sensors=tau, noise=noise.torque, streams=streams[::2]),
+        "q_true": OutputTable(unit="rad", sensors=q),
+        "dq_true": OutputTable(unit="rad/s", sensors=read_joints("dq")),
+        "tau_true": OutputTable(unit="N.m", sensors=tau),
+        "tau_f_true": OutputTable(unit="N.m", sensors=tuple(friction_sensors), scaled=speeds),
+    }
     return SignalTable(
         seed=noise.seed % 2**64,
         step=1.0 / plant.sample_rate,
-        friction=tuple(name for joint_elements in friction for name in joint_elements),
+        friction=tuple(friction),
         inputs={"dq_cmd": InputTable(unit="rad/s", actuators=servo.commanded)},
-        outputs={
-            "q": OutputTable(unit="rad", sensors=q, noise=noise.encoder, streams=streams[1::2]),
-            "tau_meas": OutputTable(
-                unit="N.m", sensors=tau, noise=noise.torque, streams=streams[::2]
-            ),
-            "q_true": OutputTable(unit="rad", sensors=q),
-            "dq_true": OutputTable(unit="rad/s", sensors=joints("dq")),
-            "tau_true": OutputTable(unit="N.m", sensors=tau),
-            "tau_f_true": OutputTable(unit="N.m", sensors=friction_sensors, scaled=speeds),
-        },
+        outputs=outputs,
         start={"q0": start},
     )
 

@@ -1,5 +1,6 @@
 """Signals of an MJCF: those named by a table, or every control and sensor."""
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import chain, count
@@ -14,6 +15,7 @@ from fmu_src.arm.table import (
     ArmOutput,
     ArmSignals,
     ArmStart,
+    InputTable,
     Loss,
     LossTable,
     OutputTable,
@@ -27,6 +29,7 @@ _S = mujoco.mjtSensor
 _J = mujoco.mjtJoint
 
 SCALAR_JOINT_TYPES = (_J.mjJNT_HINGE, _J.mjJNT_SLIDE)  # types of joints with a scalar position
+_SCALAR_UNITS = {_J.mjJNT_HINGE: "rad", _J.mjJNT_SLIDE: "m"}
 
 _SENSORS = {
     "m": (_S.mjSENS_RANGEFINDER, _S.mjSENS_FRAMEPOS, _S.mjSENS_SUBTREECOM),
@@ -39,7 +42,9 @@ _SENSORS = {
     "s": (_S.mjSENS_CLOCK,),
     "J": (_S.mjSENS_E_POTENTIAL, _S.mjSENS_E_KINETIC),
 }
-_UNITS = {sensor: unit for unit, sensors in _SENSORS.items() for sensor in sensors}
+_UNITS: dict[Any, str] = {}
+for _unit_text, _sensor_types in _SENSORS.items():
+    _UNITS |= dict.fromkeys(_sensor_types, _unit_text)
 _UNITS_AT_JOINT = {
     _S.mjSENS_JOINTPOS: ("rad", "m"),
     _S.mjSENS_JOINTVEL: ("rad/s", "m/s"),
@@ -105,34 +110,46 @@ class _Lookup:
         self._file = file
 
     def signals(self, table: SignalTable) -> ArmSignals:
-        model = self._model
-        loss_joints = table.losses.joints if table.losses else ()
-        outputs = [
-            o for name, v in table.outputs.items() for o in self._outputs(name, v, loss_joints)
-        ]
-        inputs = [
-            ArmInput(
-                f"{name}[{i}]",
-                vector.unit,
-                tuple(map(self._control, actuators)),
-                vector.description,
-            )
-            for name, vector in table.inputs.items()
-            for i, actuators in enumerate(vector.actuators, start=1)
-        ]
+        """Return the signals of a table; the first error of the table is raised."""
+        outputs = _number_streams(self._all_outputs(table))
+        inputs: list[ArmInput] = []
+        for name, input_vector in table.inputs.items():
+            inputs += self._inputs(name, input_vector)
+        starts: list[ArmStart] = []
+        for name, start_vector in table.start.items():
+            starts += self._starts(name, start_vector)
+        friction = tuple(map(self._motor, table.friction))
+        losses: list[Loss] = []
+        if table.losses is not None:
+            losses += self._losses(table.losses)
+        payload = None
+        if table.payload is not None:
+            payload = self._find("body", table.payload)
         return ArmSignals(
-            model=model,
+            model=self._model,
             inputs=tuple(inputs),
-            outputs=tuple(
-                o if o.stream >= 0 else replace(o, stream=k) for k, o in enumerate(outputs)
-            ),
-            starts=tuple(s for name, v in table.start.items() for s in self._starts(name, v)),
-            friction=tuple(map(self._motor, table.friction)),
-            losses=tuple(self._losses(table.losses)) if table.losses else (),
-            payload=None if table.payload is None else self._find("body", table.payload),
-            step=table.step or float(model.opt.timestep),
+            outputs=outputs,
+            starts=tuple(starts),
+            friction=friction,
+            losses=tuple(losses),
+            payload=payload,
+            step=table.step or float(self._model.opt.timestep),
             seed=table.seed,
         )
+
+    def _inputs(self, name: str, vector: InputTable) -> Iterator[ArmInput]:
+        for i, actuators in enumerate(vector.actuators, start=1):
+            controls = tuple(map(self._control, actuators))
+            yield ArmInput(f"{name}[{i}]", vector.unit, controls, vector.description)
+
+    def _all_outputs(self, table: SignalTable) -> list[ArmOutput]:
+        loss_joints: Sequence[str] = ()
+        if table.losses is not None:
+            loss_joints = table.losses.joints
+        outputs: list[ArmOutput] = []
+        for name, vector in table.outputs.items():
+            outputs += self._outputs(name, vector, loss_joints)
+        return outputs
 
     def _outputs(
         self, name: str, vector: OutputTable, loss_joints: Sequence[str]
@@ -143,13 +160,19 @@ class _Lookup:
                 raise self._error(
                     f"joint '{element_losses[0]}' of 'outputs.{name}.losses' has no losses."
                 )
+            noise = None
+            if vector.noise:
+                noise = vector.noise[i]
+            stream = -1
+            if vector.streams:
+                stream = vector.streams[i]
             yield ArmOutput(
                 f"{name}[{i + 1}]",
                 vector.unit,
                 tuple((self._sensor(s), k, s in vector.scaled) for s, k in sensors.items()),
                 losses=tuple(map(loss_joints.index, element_losses)),
-                noise=vector.noise[i] if vector.noise else None,
-                stream=vector.streams[i] if vector.streams else -1,
+                noise=noise,
+                stream=stream,
                 description=vector.description,
             )
 
@@ -175,7 +198,9 @@ class _Lookup:
             dof = self._dof(joint)
             if not self._model.dof_frictionloss[dof] > 0:
                 raise self._error(f"joint '{joint}' has losses; it needs a frictionloss above 0.")
-            carrier = self._dof(table.carriers[i]) if table.carriers else -1
+            carrier = -1
+            if table.carriers:
+                carrier = self._dof(table.carriers[i])
             yield Loss(dof=dof, carrier=carrier, **table.select_joint(i))
 
     def _dof(self, name: str) -> int:
@@ -230,23 +255,39 @@ class _Lookup:
         return ConfigError(f"{self._file}: {reason}")
 
 
+def _number_streams(outputs: Sequence[ArmOutput]) -> tuple[ArmOutput, ...]:
+    """Return outputs whose streams of noise are numbered, where the table states none."""
+    numbered = []
+    for k, output in enumerate(outputs):
+        if output.stream < 0:
+            output = replace(output, stream=k)
+        numbered.append(output)
+    return tuple(numbered)
+
+
 def build_all_signals(model: Any) -> ArmSignals:
     """Return all controls as inputs, all sensors as outputs, and start positions of all joints."""
     names = _Names()
-    inputs = tuple(
-        arm_input for i in range(model.nactuator) for arm_input in _inputs(model, i, names)
-    )
-    outputs = tuple(output for i in range(model.nsensor) for output in _outputs(model, i, names))
+    inputs: list[ArmInput] = []
+    for i in range(model.nactuator):
+        inputs += _inputs(model, i, names)
+    outputs: list[ArmOutput] = []
+    for i in range(model.nsensor):
+        outputs += _outputs(model, i, names)
     starts = []
     for i, kind in enumerate(map(_J, model.jnt_type)):
         if kind in SCALAR_JOINT_TYPES:
             name = names.make_unique(f"start_{model.joint(i).name or f'joint{i + 1}'}", "")
-            unit = "rad" if kind == _J.mjJNT_HINGE else "m"
+            unit = _SCALAR_UNITS[kind]
             address = int(model.jnt_qposadr[i])
             starts.append(ArmStart(name, unit, address, float(model.qpos0[address])))
     step_size = float(model.opt.timestep)
     return ArmSignals(
-        model=model, inputs=inputs, outputs=outputs, starts=tuple(starts), step=step_size
+        model=model,
+        inputs=tuple(inputs),
+        outputs=tuple(outputs),
+        starts=tuple(starts),
+        step=step_size,
     )
 
 
@@ -255,8 +296,10 @@ class _Names:
         self._used: set[str] = {"latency"}
 
     def make_unique(self, name: str, default: str) -> str:
-        identifier = "".join(c if c.isalnum() and c.isascii() else "_" for c in name) or default
-        identifier = f"_{identifier}" if identifier[0].isdigit() else identifier
+        """Return a name as an identifier that no other signal has; `default` if it is empty."""
+        identifier = re.sub("[^A-Za-z0-9]", "_", name) or default
+        if identifier[0].isdigit():
+            identifier = f"_{identifier}"
         numbered = chain([identifier], (f"{identifier}_{k}" for k in count(2)))
         unique_name = next(name for name in numbered if name not in self._used)
         self._used.add(unique_name)
@@ -265,10 +308,10 @@ class _Names:
 
 def _inputs(model: Any, actuator: int, names: _Names) -> Iterator[ArmInput]:
     size = int(model.actuator_ctrlnum[actuator])
+    if not size:
+        return
     address = int(model.actuator_ctrladr[actuator])
-    name = (
-        names.make_unique(model.actuator(actuator).name, f"control{actuator + 1}") if size else ""
-    )
+    name = names.make_unique(model.actuator(actuator).name, f"control{actuator + 1}")
     for k in range(size):
         yield ArmInput(name + _index(k, size), _unit_of_control(model, actuator), (address + k,))
 
@@ -294,12 +337,16 @@ def _outputs(model: Any, sensor: int, names: _Names) -> Iterator[ArmOutput]:
 
 
 def _index(k: int, size: int) -> str:
-    return f"[{k + 1}]" if size > 1 else ""
+    if size == 1:
+        return ""
+    return f"[{k + 1}]"
 
 
 def _unit(model: Any, sensor: int) -> str:
     kind = _S(model.sensor_type[sensor])
     if kind in _UNITS_AT_JOINT:
-        hinge = _J(model.jnt_type[model.sensor_objid[sensor]]) == _J.mjJNT_HINGE
-        return _UNITS_AT_JOINT[kind][0 if hinge else 1]
+        at_hinge, at_slide = _UNITS_AT_JOINT[kind]
+        if _J(model.jnt_type[model.sensor_objid[sensor]]) == _J.mjJNT_HINGE:
+            return at_hinge
+        return at_slide
     return _UNITS.get(kind, "1")

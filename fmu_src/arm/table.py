@@ -158,16 +158,28 @@ def _connectors(signals: ArmSignals, parameters: tuple[str, ...]) -> Iterator[Va
         text = arm_input.description or f"commanded {_KINDS.get(arm_input.unit, 'control')}"
         yield Variable(arm_input.name, "input", text, unit=arm_input.unit)
     for arm_output in signals.outputs:
-        kind = "true" if arm_output.noise is None else "measured"
+        kind = "measured"
+        if arm_output.noise is None:
+            kind = "true"
         text = arm_output.description or f"{kind} {_KINDS.get(arm_output.unit, 'signal')}"
         yield Variable(
             arm_output.name, "output", text, unit=arm_output.unit, dependencies=parameters
         )
 
 
+def _has_scale(signals: ArmSignals) -> bool:
+    """Return whether anything follows the friction scale."""
+    if signals.friction or signals.losses:
+        return True
+    return any(map(_reads_scaled_sensors, signals.outputs))
+
+
+def _reads_scaled_sensors(output: ArmOutput) -> bool:
+    return any(scaled for _, _, scaled in output.reads)
+
+
 def _parameters(signals: ArmSignals) -> Iterator[Variable]:
-    scaled = any(scaled for o in signals.outputs for _, _, scaled in o.reads)
-    if signals.friction or signals.losses or scaled:
+    if _has_scale(signals):
         text = "factor on the friction of the elements that are named for it"
         yield Variable(SCALE, "fixed", text, unit="1", start=1.0)
     if signals.payload is not None:
@@ -176,9 +188,11 @@ def _parameters(signals: ArmSignals) -> Iterator[Variable]:
         text = "time until a command acts, in whole steps of the simulation"
         yield Variable(LATENCY, "fixed", text, unit="s", start=signals.delay.usual)
     noisy = [output for output in signals.outputs if output.noise is not None]
-    for k, half in enumerate(seed_halves(signals.seed) if noisy else (), start=1):
-        text = f"{'low' if k == 1 else 'high'} 32 bits of the noise's seed"
-        yield Variable(f"{SEED}[{k}]", "fixed", text, integer=True, start=float(half))
+    if noisy:
+        low, high = seed_halves(signals.seed)
+        for k, text, half in ((1, "low", low), (2, "high", high)):
+            text = f"{text} 32 bits of the noise's seed"
+            yield Variable(f"{SEED}[{k}]", "fixed", text, integer=True, start=float(half))
     for start in signals.starts:
         text = "position at the start"
         yield Variable(start.name, "fixed", text, unit=start.unit, start=start.value)
@@ -287,9 +301,12 @@ class Losses(Config):
         """Return the numbers of a joint by key; omitted ones have no effect."""
         scales = ("speed", "age", "slip")
         lists = ("constant", "load", "direct", "evolution", *scales)
-        numbers = {
-            key: (getattr(self, key) or (float(key in scales),) * (i + 1))[i] for key in lists
-        }
+        # Terms with the factor 0 and the scale 1 have no effect.
+        numbers = {key: float(key in scales) for key in lists}
+        for key in lists:
+            entries = getattr(self, key)
+            if entries:
+                numbers[key] = entries[i]
         return numbers | {"longest": self.longest}
 
     @model_validator(mode="after")

@@ -10,7 +10,7 @@ Servo, encoder and measured torque are those of the rotor, which takes the joint
 motion and gravity compensation are those of the link.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Self
 from xml.etree import ElementTree
@@ -77,16 +77,18 @@ def true_friction(
     """
     model = compile_model(mjcf)
     slide = mujoco.mjtJoint.mjJNT_SLIDE
+    laws = []
+    for i, joint in enumerate(joints):
+        if losses is not None:
+            law = _build_loss_law(losses, i, float(model.joint(joint).damping[0]))
+        else:
+            law = _law(model, passive_motors(model, joint))
+        laws.append(law)
     return FrictionModel(
         law="true_friction",
         robot=mjcf.stem,
         joints=tuple(joints),
-        laws=tuple(
-            _build_loss_law(losses, i, float(model.joint(joint).damping[0]))
-            if losses
-            else _law(model, passive_motors(model, joint))
-            for i, joint in enumerate(joints)
-        ),
+        laws=tuple(laws),
         sliding=tuple(bool(model.joint(joint).type[0] == slide) for joint in joints),
         sample_time=sample_time,
     )
@@ -173,8 +175,9 @@ class Truth(Config):
     def _one_entry_per_joint(self) -> Self:
         require_entries(self, len(self.losses.constant))
         gear = self.transmission
-        for table in (gear, *gear.hysteresis) if gear else ():
-            require_entries(table, len(self.losses.constant), besides=("hysteresis",))
+        if gear is not None:
+            for table in (gear, *gear.hysteresis):
+                require_entries(table, len(self.losses.constant), besides=("hysteresis",))
         return self
 
 
@@ -264,7 +267,9 @@ def _divide_joint(
 
 def _section(root: Element, name: str) -> Element:
     section = root.find(name)
-    return SubElement(root, name) if section is None else section
+    if section is None:
+        return SubElement(root, name)
+    return section
 
 
 def _numbers(values: Iterable[float]) -> str:
@@ -274,32 +279,40 @@ def _numbers(values: Iterable[float]) -> str:
 def _signals(
     table: SignalTable, joints: tuple[str, ...], removed_sensors: set[str], truth: Truth
 ) -> SignalTable:
-
-    links = tuple(map(_link, joints)) if truth.transmission else ()
-
-    def output(name: str) -> OutputTable:
-        vector = table.outputs[name]
+    """Return the signals of an alternative plant, from those of the arm that it replaces."""
+    links: tuple[str, ...] = ()
+    starts = dict(table.start)
+    if truth.transmission is not None:
+        links = tuple(map(_link, joints))
+        for name, vector in table.start.items():
+            others = tuple(map(_link, vector.joints))
+            starts[name] = vector.model_copy(update={"others": others})
+    outputs = {}
+    for name, output in table.outputs.items():
         if name == "tau_f_true":
             update = {"sensors": ({},) * len(joints), "losses": joints, "scaled": ()}
-            return vector.model_copy(update=update)
-        rows = tuple(
-            {s: k for s, k in row.items() if s not in removed_sensors} for row in vector.sensors
-        )
-        if links and name in ("q_true", "dq_true"):
-            rows = tuple({f"{link}_{name.partition('_')[0]}": 1.0} for link in links)
-        elif links and name in ("tau_meas", "tau_true"):
-            pairs = zip(rows, links, strict=True)
-            rows = tuple({**row, f"{link}_torque": 1.0} for row, link in pairs)
-        return vector.model_copy(update={"sensors": rows})
-
-    starts = dict(table.start)
-    for name, vector in table.start.items() if links else ():
-        starts[name] = vector.model_copy(update={"others": tuple(map(_link, vector.joints))})
+        else:
+            update = {"sensors": _select_sensors(name, output, links, removed_sensors)}
+        outputs[name] = output.model_copy(update=update)
+    losses = LossTable(**truth.losses.model_dump(), joints=joints, carriers=links)
     return table.model_copy(
-        update={
-            "outputs": {name: output(name) for name in table.outputs},
-            "start": starts,
-            "friction": (),
-            "losses": LossTable(**truth.losses.model_dump(), joints=joints, carriers=links),
-        }
+        update={"outputs": outputs, "start": starts, "friction": (), "losses": losses}
     )
+
+
+def _select_sensors(
+    name: str, output: OutputTable, links: tuple[str, ...], removed_sensors: set[str]
+) -> tuple[dict[str, float], ...]:
+    """Return the summed sensors of each element: true motion is that of the links, if any."""
+    if links and name in ("q_true", "dq_true"):
+        quantity, _, _ = name.partition("_")
+        return tuple({f"{link}_{quantity}": 1.0} for link in links)
+    rows = [_remove_sensors(row, removed_sensors) for row in output.sensors]
+    if links and name in ("tau_meas", "tau_true"):
+        for row, link in zip(rows, links, strict=True):
+            row[f"{link}_torque"] = 1.0
+    return tuple(rows)
+
+
+def _remove_sensors(row: Mapping[str, float], removed_sensors: set[str]) -> dict[str, float]:
+    return {sensor: factor for sensor, factor in row.items() if sensor not in removed_sensors}

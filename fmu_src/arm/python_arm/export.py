@@ -58,7 +58,11 @@ def export_python_arm(mjcf: Path, table: Path | SignalTable | None, output: Path
 def _describe_arm(
     mjcf: Path, table: Path | SignalTable | None, interface: Interface, about: Description
 ) -> dict[str, Any]:
-    signal_table = SignalTable.read(table) if isinstance(table, Path) else table
+    if isinstance(table, Path):
+        table = SignalTable.read(table)
+    signals = None
+    if table is not None:
+        signals = table.model_dump()
     content = hashlib.sha256(to_xml(interface, about, "") + mjcf.read_bytes()).hexdigest()
     root = ET.fromstring(to_xml(interface, about, content))
     kind = root.find("CoSimulation")
@@ -70,7 +74,7 @@ def _describe_arm(
     return {
         "identifier": about.identifier,
         "xml": text.decode(),
-        "signals": signal_table and signal_table.model_dump(),
+        "signals": signals,
     }
 
 

@@ -100,7 +100,9 @@ class Simulation:
         }
         self._noisy = [k for k, o in enumerate(signals.outputs) if o.noise is not None]
         self._state_size = mujoco.mj_stateSize(signals.model, _STATE)
-        drives = [(c, k) for k, arm_input in enumerate(signals.inputs) for c in arm_input.controls]
+        drives: list[tuple[int, int]] = []
+        for k, arm_input in enumerate(signals.inputs):
+            drives += [(control, k) for control in arm_input.controls]
         self._controls, self._driven = np.array(drives, dtype=int).reshape(-1, 2).T
         self._streams = np.array([signals.outputs[k].stream for k in self._noisy])
         self.reset()
@@ -241,6 +243,7 @@ class Simulation:
             )
 
     def _adapt(self) -> None:
+        """Build the model and the weights of its sensors for the parameters."""
         parameters = self.parameters
         signals = self.signals
         self._model = model = copy.copy(signals.model)
@@ -253,32 +256,45 @@ class Simulation:
             model.actuator_dampingpoly[actuator] *= element_scale
         model.dof_damping[[loss.dof for loss in signals.losses]] *= scale
         self._losses = LossState(signals.losses, scale)
-        for actuator in signals.delay.actuators if signals.delay else ():
-            step_size = float(model.opt.timestep)
-            interpolated = model.actuator_history[actuator, 1] > 0
-            model.actuator_delay[actuator] = (
-                parameters[LATENCY]
-                if interpolated
-                else max(np.ceil(parameters[LATENCY] / step_size - 1e-6) - 0.5, 0.0) * step_size
-            )
+        if signals.delay is not None:
+            for actuator in signals.delay.actuators:
+                self._set_latency(actuator, parameters[LATENCY])
         self._data = mujoco.MjData(model)
         if signals.payload is not None:
             model.body_mass[signals.payload] += parameters[PAYLOAD]
             mujoco.mj_setConst(model, self._data)
             mujoco.mj_resetData(model, self._data)
-        self._weights = np.zeros((len(signals.outputs), model.nsensordata))
-        for row, output in zip(self._weights, signals.outputs, strict=True):
-            for address, factor, scaled in output.reads:
-                row[address] += factor * (scale if scaled else 1.0)
+        self._weights = self._weigh_sensors(scale)
         self._loss_weights = np.zeros((len(signals.outputs), len(signals.losses)))
         for row, output in zip(self._loss_weights, signals.outputs, strict=True):
             row[list(output.losses)] = 1.0
         self._sigma = np.array([parameters[noise_name(signals.outputs[k])] for k in self._noisy])
         self._noise_block = np.empty((0, len(self._noisy)))
         self._first_sample = 0
-        self._seed = join_seed_halves(
-            *(int(parameters.get(f"{SEED}[{half}]", 0)) for half in (1, 2))
-        )
+        low = int(parameters.get(f"{SEED}[1]", 0))
+        high = int(parameters.get(f"{SEED}[2]", 0))
+        self._seed = join_seed_halves(low, high)
+
+    def _set_latency(self, actuator: int, latency: float) -> None:
+        """Delay an actuator; without interpolation by whole steps of the simulation, rounded up."""
+        model = self._model
+        if model.actuator_history[actuator, 1] > 0:  # interpolated
+            model.actuator_delay[actuator] = latency
+            return
+        step_size = float(model.opt.timestep)
+        # Half a step less, so that round-off of sums of steps never adds a step.
+        steps = max(np.ceil(latency / step_size - 1e-6) - 0.5, 0.0)
+        model.actuator_delay[actuator] = steps * step_size
+
+    def _weigh_sensors(self, scale: float) -> Array:
+        """Return the weights (outputs, sensor data) of the outputs, at a friction scale."""
+        weights = np.zeros((len(self.signals.outputs), self._model.nsensordata))
+        for row, output in zip(weights, self.signals.outputs, strict=True):
+            for address, factor, scaled in output.reads:
+                if scaled:
+                    factor *= scale
+                row[address] += factor
+        return weights
 
     def _has_diverged(self) -> bool:
         data = self._data

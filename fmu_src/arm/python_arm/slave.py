@@ -28,20 +28,22 @@ class PythonArm(Fmi2Slave):  # type: ignore[misc] # PythonFMU is not typed
         folder = Path(self.resources)
         self._about = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
         self.modelName = self._about["identifier"]
-        table = self._about["signals"]
-        self._simulation = Simulation(
-            read_signals(folder / MODEL, table and SignalTable.model_validate(table))
-        )
+        table = None
+        if self._about["signals"]:
+            table = SignalTable.model_validate(self._about["signals"])
+        self._simulation = Simulation(read_signals(folder / MODEL, table))
         self._variables = self._simulation.variables
         self._values = [variable.start for variable in self._variables]
-        self._inputs, self._outputs, self._parameters = (
-            [k for k, variable in enumerate(self._variables) if variable.role == role]
-            for role in ("input", "output", "fixed")
-        )
+        self._inputs = self._find_role("input")
+        self._outputs = self._find_role("output")
+        self._parameters = self._find_role("fixed")
         self._running = False
         self._stale = True
         self._start = 0.0  # [s]
         self._steps = 0  # of the simulation since the start
+
+    def _find_role(self, role: str) -> list[int]:
+        return [k for k, variable in enumerate(self._variables) if variable.role == role]
 
     def to_xml(self, _options: object = None) -> ET.Element:
         """Return the description made with the FMU, dependencies included."""
