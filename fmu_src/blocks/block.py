@@ -87,7 +87,8 @@ def block(
     paragraphs of the FMU's page. Raises ExportError for states, whose start
     values have no variables.
     """
-    paragraphs = [notes] if isinstance(notes, str) else list(notes)
+    if isinstance(notes, str):
+        notes = [notes]
     if component.memory:
         raise ExportError(
             f"block '{name}': state '{component.memory[0].name}' has no start value; write what is "
@@ -104,26 +105,26 @@ def block(
         model_exchange=supports_exchange,
         directional_derivatives=supports_exchange,
     )
+    joint_example: dict[str, float] = {}
+    for parameter_name, value in example.items():
+        names = (joint.names[parameter_name] for joint in block_joints)
+        joint_example |= dict.fromkeys(names, value)
     return content(
         interface,
         name=name,
         text=text,
         sources=equation_sources(equations_header(block_joints, interface, {})),
         step=step,
-        page=component_page(component, paragraphs),
-        example={
-            joint.names[parameter_name]: value
-            for parameter_name, value in example.items()
-            for joint in block_joints
-        },
+        page=component_page(component, list(notes)),
+        example=joint_example,
     )
 
 
 def _names(component: Component, number: int) -> dict[str, str]:
     joint_quantities = (*component.inputs, *component.parameters, *component.outputs)
-    return {quantity.name: f"{quantity.name}[{number}]" for quantity in joint_quantities} | {
-        quantity.name: quantity.name for quantity in component.shared
-    }
+    names = {quantity.name: f"{quantity.name}[{number}]" for quantity in joint_quantities}
+    names |= {quantity.name: quantity.name for quantity in component.shared}
+    return names
 
 
 def _variables(component: Component, joints: list[Joint]) -> Iterator[Variable]:
@@ -131,7 +132,9 @@ def _variables(component: Component, joints: list[Joint]) -> Iterator[Variable]:
     for quantity in component.inputs:
         yield from vector(quantity.name, "input", quantity.unit, quantity.description, zeros)
     for equation in component.outputs:
-        at_once = frozenset() if component.holds else component.find_sources(equation.symbol)
+        at_once: Collection[object] = ()
+        if not component.holds:  # else outputs change with samples only
+            at_once = component.find_sources(equation.symbol)
         initial = component.find_sources(equation.symbol, starting=True)
         for i, joint in enumerate(joints, start=1):
             yield Variable(
@@ -161,7 +164,9 @@ def _select_names(
 def _parameter(parameter: Quantity, name: str, text: str) -> Variable:
     if not isinstance(parameter, Parameter):
         raise TypeError(f"'{parameter.name}' has no start value")
-    role: Role = "tunable" if parameter.tunable else "fixed"
+    role: Role = "fixed"
+    if parameter.tunable:
+        role = "tunable"
     if isinstance(parameter, Choice):
         choice = Enumeration(name=parameter.name.capitalize(), items=parameter.items)
         return Variable(name, role, text, enumeration=choice, start=parameter.start)

@@ -1,6 +1,6 @@
 """InverseDynamics FMU: rigid-body torque of a motion, from identified parameters."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,27 +39,11 @@ def inverse_dynamics(
 ) -> Content:
     """Return the InverseDynamics FMU; parameters (P,) are ordered as `robot.parameter_names`."""
     n = robot.n
-    links = 10 * robot.links
-    rotors = parameters[links : robot.inertial] if robot.inertial > links else np.zeros(n)
     zeros = np.zeros(n)
-    input_names = [f"{name}[{i}]" for name in ("q", "dq", "ddq") for i in range(1, n + 1)]
-    parameter_variables = []
-    for i, joint in enumerate(robot.tree, start=1):
-        values = parameters[10 * (i - 1) : 10 * i]
-        for name, unit, value in zip(LINK_PARAMETERS, _UNITS, values, strict=True):
-            text = f"{name} of link {i}, {joint.name}"
-            parameter_variables.append(
-                Variable(f"link[{i}].{name}", "tunable", text, unit=unit, start=value)
-            )
-    for i, value in enumerate(rotors, start=1):
-        text = f"rotor inertia of joint {i}"
-        parameter_variables.append(
-            Variable(f"link[{i}].Ir", "tunable", text, unit="kg.m2", start=value)
-        )
-    for term, value in zip(robot.springs, parameters[robot.inertial :], strict=True):
-        name = f"spring[{term.joint + 1}].{term.name}"
-        text = f"{_SPRINGS[term.linear]} of joint {term.joint + 1}"
-        parameter_variables.append(Variable(name, "tunable", text, unit=term.unit, start=value))
+    input_names: list[str] = []
+    for name in ("q", "dq", "ddq"):
+        input_names += [f"{name}[{i}]" for i in range(1, n + 1)]
+    parameter_variables = list(_parameters(robot, parameters))
     dependencies = [*input_names, *(variable.name for variable in parameter_variables)]
     interface = Interface(
         variables=(
@@ -88,10 +72,33 @@ def inverse_dynamics(
     )
 
 
+def _parameters(robot: Robot, parameters: NDArray[np.float64]) -> Iterator[Variable]:
+    """Yield the parameters of links, rotors, springs and balancers."""
+    for i, joint in enumerate(robot.tree, start=1):
+        values = parameters[10 * (i - 1) : 10 * i]
+        for name, unit, value in zip(LINK_PARAMETERS, _UNITS, values, strict=True):
+            text = f"{name} of link {i}, {joint.name}"
+            yield Variable(f"link[{i}].{name}", "tunable", text, unit=unit, start=value)
+    rotors = parameters[10 * robot.links : robot.inertial]
+    if not len(rotors):
+        rotors = np.zeros(robot.n)
+    for i, value in enumerate(rotors, start=1):
+        text = f"rotor inertia of joint {i}"
+        yield Variable(f"link[{i}].Ir", "tunable", text, unit="kg.m2", start=value)
+    for term, value in zip(robot.springs, parameters[robot.inertial :], strict=True):
+        name = f"spring[{term.joint + 1}].{term.name}"
+        text = f"{_SPRINGS[term.linear]} of joint {term.joint + 1}"
+        yield Variable(name, "tunable", text, unit=term.unit, start=value)
+
+
 def _tree(robot: Robot) -> str:
+    """Return tree.h."""
     rows = []
     motor_coupling = robot.description.motors
-    gravity = robot.gravity.tolist()
+    motor_angles = np.eye(robot.n)
+    if motor_coupling is not None:
+        motor_angles = motor_coupling.forward
+    gravity_x, gravity_y, gravity_z = map(literal, robot.gravity.tolist())
     for joint in robot.tree:
         numbers = map(_numbers, (joint.rotation.ravel(), joint.translation, joint.axis))
         rows.append(f"    {{{joint.parent}, {int(joint.prismatic)}, {', '.join(numbers)}}},")
@@ -107,11 +114,10 @@ def _tree(robot: Robot) -> str:
         offsets=_numbers(offsets),
         rows="\n".join(rows),
         coupled=int(motor_coupling is not None),
-        motors="\n".join(
-            f"    {_numbers(row)},"
-            for row in (motor_coupling.forward if motor_coupling else np.eye(robot.n))
-        ),
-        **dict(zip("xyz", map(literal, gravity), strict=True)),
+        motors="\n".join(f"    {_numbers(row)}," for row in motor_angles),
+        x=gravity_x,
+        y=gravity_y,
+        z=gravity_z,
     )
 
 

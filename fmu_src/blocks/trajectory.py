@@ -1,5 +1,7 @@
 """Trajectory FMU: desired motion, now and at a preview time, selected by parameters."""
 
+from collections.abc import Iterable, Iterator
+
 import numpy as np
 
 from fmu_src.blocks.block import content, places, vector
@@ -76,49 +78,20 @@ _PAGE = BlockPage(
 
 def trajectory(joints: int, *, step: float = 0.005) -> Content:
     """Return the Trajectory FMU for a number of joints with preferred step `step` [s]."""
-    zeros = np.zeros(joints)
-    kind_variable = Variable("kind", "fixed", "kind of the motion", enumeration=KIND, start=2.0)
-    scalars = [
-        Variable(name, "fixed", text, unit=unit, start=start)
-        for name, unit, text, start in _SCALARS
-    ]
-    vectors = [
-        variable
-        for name, unit, text in _PARAMETERS
-        for variable in vector(name, "fixed", unit, text, zeros)
-    ]
-    series = [
-        Variable(f"{name}[{i},{k}]", "fixed", f"harmonic {k} of joint {i}", unit="rad/s")
-        for name in ("a", "b")
-        for i in range(1, joints + 1)
-        for k in range(1, HARMONICS + 1)
-    ]
-    parameter_variables = (kind_variable, *scalars, *vectors, *series)
-    parameter_names = [variable.name for variable in parameter_variables]
-    outputs = [
-        variable
-        for tail, text in (("", "desired {}"), ("_ahead", "desired {} a preview time ahead"))
-        for name, (unit, quantity) in _MOTION.items()
-        for variable in vector(
-            name + tail, "output", unit, text.format(quantity), zeros, parameter_names
-        )
-    ]
+    parameters = list(_parameters(joints))
     interface = Interface(
-        variables=(*outputs, *parameter_variables),
+        variables=(*_outputs(joints, parameters), *parameters),
         model_exchange=False,
         directional_derivatives=False,
     )
-    first = {
-        f"{quantity.upper()}{tail.upper()}": name + tail
-        for tail in ("", "_ahead")
-        for name, (_, quantity) in _MOTION.items()
-    }
-    parameters = ("kind", "a", "b", *(name for name, *_ in (*_SCALARS, *_PARAMETERS)))
-    first |= {name.upper(): name for name in parameters}
     kinds = {name.upper(): i for i, (name, _) in enumerate(KIND.items, start=1)}
-    header = places(interface, "MOTION_H", first, JOINTS=joints, HARMONICS=HARMONICS, **kinds)
-    numbers = range(1, joints + 1)
-    example = {f"{name}[{i},{k}]": value for i in numbers for name, k, value in _FROM_REST}
+    header = places(
+        interface, "MOTION_H", _first_variables(), JOINTS=joints, HARMONICS=HARMONICS, **kinds
+    )
+    example = {"kind": 1.0, "period": ROWS * step, "preview": 2.0 * step}
+    for i in range(1, joints + 1):
+        for name, k, value in _FROM_REST:
+            example[f"{name}[{i},{k}]"] = value
     return content(
         interface,
         name="Trajectory",
@@ -126,8 +99,42 @@ def trajectory(joints: int, *, step: float = 0.005) -> Content:
         sources={"trajectory.c": read_c_source("trajectory.c"), "motion.h": header},
         step=step,
         page=_PAGE,
-        example={"kind": 1.0, "period": ROWS * step, "preview": 2.0 * step, **example},
+        example=example,
     )
+
+
+def _parameters(joints: int) -> Iterator[Variable]:
+    """Yield the parameters: kind, scalars, vectors over the joints, and coefficients of series."""
+    yield Variable("kind", "fixed", "kind of the motion", enumeration=KIND, start=2.0)
+    for name, unit, text, start in _SCALARS:
+        yield Variable(name, "fixed", text, unit=unit, start=start)
+    zeros = np.zeros(joints)
+    for name, unit, text in _PARAMETERS:
+        yield from vector(name, "fixed", unit, text, zeros)
+    for name in ("a", "b"):
+        for i in range(1, joints + 1):
+            for k in range(1, HARMONICS + 1):
+                text = f"harmonic {k} of joint {i}"
+                yield Variable(f"{name}[{i},{k}]", "fixed", text, unit="rad/s")
+
+
+def _outputs(joints: int, parameters: Iterable[Variable]) -> Iterator[Variable]:
+    """Yield the desired motion, then that a preview time ahead; both depend on all parameters."""
+    names = [variable.name for variable in parameters]
+    zeros = np.zeros(joints)
+    for name, (unit, quantity) in _MOTION.items():
+        yield from vector(name, "output", unit, f"desired {quantity}", zeros, names)
+    for name, (unit, quantity) in _MOTION.items():
+        text = f"desired {quantity} a preview time ahead"
+        yield from vector(f"{name}_ahead", "output", unit, text, zeros, names)
+
+
+def _first_variables() -> dict[str, str]:
+    """Return the first variable of each kind, by its name in C."""
+    first = {quantity.upper(): name for name, (_, quantity) in _MOTION.items()}
+    first |= {f"{constant}_AHEAD": f"{name}_ahead" for constant, name in first.items()}
+    parameters = ["kind", "a", "b", *(name for name, *_ in (*_SCALARS, *_PARAMETERS))]
+    return first | {name.upper(): name for name in parameters}
 
 
 def start_values(motion: Trajectory) -> dict[str, float | str | tuple[float, ...]]:
@@ -159,9 +166,11 @@ def _series(motion: Fourier) -> dict[str, float]:
             f"a Fourier motion of {harmonics} harmonics cannot be made by the FMU, which has "
             f"{HARMONICS}."
         )
-    return {
-        f"{name}[{i + 1},{k + 1}]": float(array[i, k]) if k < harmonics else 0.0
-        for name, array in (("a", motion.a), ("b", motion.b))
-        for i in range(len(array))
-        for k in range(HARMONICS)
-    }
+    parameters: dict[str, float] = {}
+    for name, array in (("a", motion.a), ("b", motion.b)):
+        # Harmonics that the motion lacks are zero.
+        coefficients = np.zeros((len(array), HARMONICS))
+        coefficients[:, :harmonics] = array
+        for i, row in enumerate(coefficients.tolist(), start=1):
+            parameters |= {f"{name}[{i},{k}]": value for k, value in enumerate(row, start=1)}
+    return parameters
