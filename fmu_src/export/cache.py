@@ -20,11 +20,12 @@ _HASHED_FOLDERS = tuple(_ROOT / folder for folder in ("fmu_src", "hesr_model", "
 @cache
 def software() -> str:
     """Return a hash of HESR's modules below the export, its extras and installed packages."""
-    folders = filter(os.path.isdir, sys.path)
-    installed = (entry.name for folder in folders for entry in Path(folder).iterdir())
-    # Folders of metadata have the versions in their names.
-    packages = sorted({name for name in installed if name.endswith((".dist-info", ".egg-info"))})
-    key = hashlib.sha256("\n".join([sys.version, *packages]).encode())
+    packages: set[str] = set()
+    for folder in filter(os.path.isdir, sys.path):
+        # Folders of metadata have the versions in their names.
+        names = [entry.name for entry in Path(folder).iterdir()]
+        packages |= {name for name in names if name.endswith((".dist-info", ".egg-info"))}
+    key = hashlib.sha256("\n".join([sys.version, *sorted(packages)]).encode())
     for home in _HASHED_FOLDERS:
         for folder, folders_inside, names in os.walk(home):
             # Python writes there under names that another process sees for a moment only.
@@ -52,7 +53,9 @@ def _inputs(
 def copy_from_cache(model_path: Path, options: Mapping[str, object], output: Path) -> bool:
     """Copy an FMU that was exported with the same options, if there is one."""
     inputs = _inputs(model_path, options, output)
-    data = find_result("fmus", inputs) if inputs else None
+    if inputs is None:
+        return False
+    data = find_result("fmus", inputs)
     if data is None:
         return False
     with written_whole(output) as temporary:

@@ -122,7 +122,9 @@ def si_exponents(unit: str) -> dict[str, int]:
                 raise ExportError(
                     f"unit '{unit}': '{factor}' is unknown; known are {', '.join(_BASE)}."
                 )
-            power = int(match[2] or 1) * (-1 if i else 1)
+            power = int(match[2] or 1)
+            if i > 0:
+                power = -power
             for base, exponent in _BASE[match[1]].items():
                 exponents[base] = exponents.get(base, 0) + power * exponent
     return {base: exponent for base, exponent in exponents.items() if exponent}
@@ -133,9 +135,21 @@ def to_xml(interface: Interface, about: Description, guid: str) -> bytes:
 
     Dependencies are declared, because importers find false algebraic loops without them.
     """
-    root = root_element(
-        about, "2.0", {"guid": guid}, numberOfEventIndicators=str(interface.indicators)
-    )
+    indicators = str(interface.indicators)
+    root = root_element(about, "2.0", {"guid": guid}, numberOfEventIndicators=indicators)
+    _add_kinds(root, interface, about)
+    add_units(root, interface)
+    _types(root, interface)
+    add_run(root, about)
+    variables = ET.SubElement(root, "ModelVariables")
+    for i, variable in enumerate(interface.variables):
+        variables.append(_scalar(variable, i, interface))
+    _add_structure(root, interface)
+    return to_bytes(root)
+
+
+def _add_kinds(root: ET.Element, interface: Interface, about: Description) -> None:
+    """Add the kinds of simulation with their capabilities and source files."""
     common = {
         "modelIdentifier": about.identifier,
         "needsExecutionTool": "false",
@@ -148,30 +162,28 @@ def to_xml(interface: Interface, about: Description, guid: str) -> bytes:
     for name, kind_attributes in _KINDS.items():
         if name == "CoSimulation" or interface.model_exchange:
             kind = ET.SubElement(root, name, common | kind_attributes)
-            files = ET.SubElement(kind, "SourceFiles") if about.sources else kind
-            for source in about.sources:
-                ET.SubElement(files, "File", name=source)
-    add_units(root, interface)
-    _types(root, interface)
-    add_run(root, about)
-    variables = ET.SubElement(root, "ModelVariables")
-    for i, variable in enumerate(interface.variables):
-        variables.append(_scalar(variable, i, interface))
+            if about.sources:
+                files = ET.SubElement(kind, "SourceFiles")
+                for source in about.sources:
+                    ET.SubElement(files, "File", name=source)
+
+
+def _add_structure(root: ET.Element, interface: Interface) -> None:
+    """Add outputs, derivatives and initial unknowns with what they depend on."""
     structure = ET.SubElement(root, "ModelStructure")
-    outputs = [
-        variable for variable in interface.variables if variable.role in ("output", "on_demand")
-    ]
+    outputs = []
+    initial_unknowns = []
+    for variable in interface.variables:
+        is_output = variable.role in ("output", "on_demand")
+        if is_output:
+            outputs.append(variable)
+        if is_output or variable.derivative_of or variable.role == "state":
+            initial_unknowns.append(variable)
     _unknowns(structure, "Outputs", outputs, interface, RUNNING_ROLES)
     _unknowns(structure, "Derivatives", interface.derivatives, interface, RUNNING_ROLES)
-    initial_unknowns = [
-        variable
-        for variable in interface.variables
-        if variable in outputs or variable.derivative_of or variable.role == "state"
-    ]
     _unknowns(
         structure, "InitialUnknowns", initial_unknowns, interface, STARTING_ROLES, initially=True
     )
-    return to_bytes(root)
 
 
 def root_element(
@@ -241,7 +253,9 @@ def common_attributes(variable: Variable, name: str, place: int, text: str) -> d
         text = f"{text}: {', '.join(names)}"
     attributes = {"name": name, "valueReference": str(place), "description": text}
     attributes |= {"causality": causality, "variability": variability}
-    return attributes | ({"initial": initial} if initial else {})
+    if initial is not None:
+        attributes["initial"] = initial
+    return attributes
 
 
 def values(elements: Sequence[Variable]) -> dict[str, str]:
@@ -257,16 +271,20 @@ def values(elements: Sequence[Variable]) -> dict[str, str]:
         )
     lower_limits = [variable.least for variable in elements if variable.least is not None]
     upper_limits = [variable.greatest for variable in elements if variable.greatest is not None]
-    attributes |= {"min": _value_text(first_variable, max(lower_limits))} if lower_limits else {}
-    return attributes | (
-        {"max": _value_text(first_variable, min(upper_limits))} if upper_limits else {}
-    )
+    # Limits of all elements are the narrowest ones.
+    if lower_limits:
+        attributes["min"] = _value_text(first_variable, max(lower_limits))
+    if upper_limits:
+        attributes["max"] = _value_text(first_variable, min(upper_limits))
+    return attributes
 
 
 def _value_text(variable: Variable, value: float) -> str:
     if variable.boolean:
         return str(value != 0.0).lower()
-    return str(int(value)) if variable.integer else repr(float(value))
+    if variable.integer:
+        return str(int(value))
+    return repr(float(value))
 
 
 def _scalar(variable: Variable, place: int, interface: Interface) -> ET.Element:
@@ -277,8 +295,11 @@ def _scalar(variable: Variable, place: int, interface: Interface) -> ET.Element:
         declared = {"declaredType": variable.enumeration.name}
         ET.SubElement(element, "Integer", declared | values([variable]))
         return element
-    if variable.boolean or variable.integer:
-        ET.SubElement(element, "Boolean" if variable.boolean else "Integer", values([variable]))
+    if variable.boolean:
+        ET.SubElement(element, "Boolean", values([variable]))
+        return element
+    if variable.integer:
+        ET.SubElement(element, "Integer", values([variable]))
         return element
     unit = variable.unit or "1"
     real = {"unit": unit} | unit_attributes(unit) | values([variable])
@@ -299,7 +320,9 @@ def _unknowns(
     *,
     initially: bool = False,
 ) -> None:
-    parent = ET.SubElement(structure, kind) if unknowns else structure
+    if not unknowns:
+        return
+    parent = ET.SubElement(structure, kind)
     for variable in unknowns:
         names = interface.find_dependencies(variable, roles, initially=initially)
         numbers = " ".join(map(str, sorted({interface.places[name] + 1 for name in names})))

@@ -53,9 +53,8 @@ def to_xml3(interface: Interface, about: Description, token: str) -> bytes:
     add_units(root, interface)
     # fmi-sim reads units and nominal values from types only.
     types = ET.SubElement(root, "TypeDefinitions")
-    for unit, nominal in dict.fromkeys(
-        (variable.unit, variable.nominal) for variable in interface.variables if variable.unit
-    ):
+    kinds = ((variable.unit, variable.nominal) for variable in interface.variables if variable.unit)
+    for unit, nominal in dict.fromkeys(kinds):
         element = ET.SubElement(types, "Float64Type", name=_name_type(unit, nominal), unit=unit)
         element.attrib.update(unit_attributes(unit))
         if nominal != 1.0:
@@ -78,13 +77,19 @@ def to_xml3(interface: Interface, about: Description, token: str) -> bytes:
 
 
 def _name_type(unit: str, nominal: float) -> str:
-    name = "number" if unit == "1" else f"number in {unit}"
-    return name if nominal == 1.0 else f"{name} of about {nominal:g}"
+    name = "number"
+    if unit != "1":
+        name += f" in {unit}"
+    if nominal != 1.0:
+        name += f" of about {nominal:g}"
+    return name
 
 
 def _variable(array: ArrayVariable, interface: Interface) -> ET.Element:
     first_variable = array.elements[0]
-    text = first_variable.description if first_variable.enumeration else _description(array)
+    text = first_variable.description
+    if not first_variable.enumeration:
+        text = _description(array)
     attributes = common_attributes(first_variable, array.name, array.place, text)
     attributes |= values(array.elements)
     if first_variable.enumeration or first_variable.integer:
@@ -125,14 +130,13 @@ def _structure(root: ET.Element, interface: Interface) -> None:
     outputs = [
         array for array in interface.parts if array.elements[0].role in ("output", "on_demand")
     ]
+    rates: list[ArrayVariable] = []
+    states: list[ArrayVariable] = []
     # States of a co-simulation are internal.
-    derivatives = interface.derivatives if interface.model_exchange else ()
-    rates = list(dict.fromkeys(interface.part_of[variable.name] for variable in derivatives))
-    states = (
-        [array for array in interface.parts if array.elements[0].role == "state"]
-        if derivatives
-        else []
-    )
+    if interface.model_exchange and interface.derivatives:
+        parts = (interface.part_of[variable.name] for variable in interface.derivatives)
+        rates = list(dict.fromkeys(parts))
+        states = [array for array in interface.parts if array.elements[0].role == "state"]
     _unknowns(structure, "Output", outputs, interface, RUNNING_ROLES)
     _unknowns(structure, "ContinuousStateDerivative", rates, interface, RUNNING_ROLES)
     initial = dict.fromkeys((*outputs, *states, *rates))
@@ -151,11 +155,10 @@ def _unknowns(
     initially: bool = False,
 ) -> None:
     for array in unknowns:
-        places = {
-            interface.part_of[name].place
-            for variable in array.elements
-            for name in interface.find_dependencies(variable, roles, initially=initially)
-        }
+        places: set[int] = set()
+        for variable in array.elements:
+            names = interface.find_dependencies(variable, roles, initially=initially)
+            places |= {interface.part_of[name].place for name in names}
         attributes = {"valueReference": str(array.place)}
         ET.SubElement(structure, kind, attributes, dependencies=" ".join(map(str, sorted(places))))
 

@@ -7,11 +7,11 @@ separate table, because those of FMI 3.0 can denote arrays.
 import re
 import struct
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 from itertools import groupby, product
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from hesr_model.errors import ExportError
 
@@ -76,8 +76,9 @@ class Variable:
     def attributes(self) -> tuple[str, str, str | None]:
         """Causality, variability and initial (None if not written)."""
         causality, variability, initial = _ATTRIBUTES[self.role]
-        is_discrete = (self.boolean or self.integer) and variability == "continuous"
-        return causality, "discrete" if is_discrete else variability, initial
+        if variability == "continuous" and (self.boolean or self.integer):
+            variability = "discrete"
+        return causality, variability, initial
 
     @property
     def computed(self) -> bool:
@@ -105,11 +106,14 @@ class Interface:
     def __post_init__(self) -> None:
         names: set[str] = set()
         for variable in self.variables:
-            is_repeated = variable.name in names
-            if is_repeated or not NAME.fullmatch(variable.name):
-                odd = "used twice" if is_repeated else "not a structured name of FMI"
+            problem = ""
+            if variable.name in names:
+                problem = "used twice"
+            elif not NAME.fullmatch(variable.name):
+                problem = "not a structured name of FMI"
+            if problem:
                 raise ExportError(
-                    f"variable name '{variable.name}' is {odd}; expected distinct names of "
+                    f"variable name '{variable.name}' is {problem}; expected distinct names of "
                     "letters, digits and underscores."
                 )
             names.add(variable.name)
@@ -145,20 +149,21 @@ class Interface:
     @cached_property
     def parts(self) -> tuple["ArrayVariable", ...]:
         """Variables of FMI 3.0: arrays, but scalars of states and of members of terminals."""
-        return tuple(
-            part
-            for array in self.arrays
-            for part in (
-                _scalars(array.place, array.elements)
-                if array.elements[0].role == "state" or array.name in self.connected
-                else (array,)
-            )
-        )
+        parts: list[ArrayVariable] = []
+        for array in self.arrays:
+            if array.elements[0].role == "state" or array.name in self.connected:
+                parts += _scalars(array.place, array.elements)
+            else:
+                parts.append(array)
+        return tuple(parts)
 
     @cached_property
     def part_of(self) -> dict[str, "ArrayVariable"]:
         """The variable of FMI 3.0 that contains each variable."""
-        return {variable.name: array for array in self.parts for variable in array.elements}
+        part_of: dict[str, ArrayVariable] = {}
+        for array in self.parts:
+            part_of |= dict.fromkeys((variable.name for variable in array.elements), array)
+        return part_of
 
     @cached_property
     def derivatives(self) -> tuple[Variable, ...]:
@@ -170,11 +175,10 @@ class Interface:
         names = dict.fromkeys((*variable.dependencies, *variable.initial_dependencies))
         ahead = list(names)
         for name in ahead:  # grows by what determines states
-            initial_sources = (
-                self._states[name].initial_dependencies if name in self._states else ()
-            )
-            ahead += [source for source in initial_sources if source not in names]
-            names |= dict.fromkeys(initial_sources)
+            if name in self._states:
+                initial_sources = self._states[name].initial_dependencies
+                ahead += [source for source in initial_sources if source not in names]
+                names |= dict.fromkeys(initial_sources)
         return tuple(name for name in names if name not in self._states)
 
     @cached_property
@@ -190,18 +194,22 @@ class Interface:
         self, variable: Variable, roles: Sequence[Role], *, initially: bool = False
     ) -> list[str]:
         """Return the names in `dependencies`, or in `initially`, of variables with some roles."""
-        names = self.initially(variable) if initially else variable.dependencies
-        role_by_name = {
-            n: "state" if n in self._states else self.variables[self.places[n]].role for n in names
-        }
-        return [name for name in names if role_by_name[name] in roles]
+        names = variable.dependencies
+        if initially:
+            names = self.initially(variable)
+        return [name for name in names if self._role(name) in roles]
+
+    def _role(self, name: str) -> Role:
+        """Return the role of a variable; outputs with a derivative count as states."""
+        if name in self._states:
+            return "state"
+        return self.variables[self.places[name]].role
 
     def first(self, names: Sequence[str]) -> int:
         """Index of the first of `names`, which must be consecutive."""
         start = self.places[names[0]]
-        if [variable.name for variable in self.variables[start : start + len(names)]] != list(
-            names
-        ):
+        followers = self.variables[start : start + len(names)]
+        if [variable.name for variable in followers] != list(names):
             raise ValueError(f"{names} are not consecutive variables")
         return start
 
@@ -241,50 +249,27 @@ def to_c(interface: Interface, guid: str, step_size: float) -> str:
     """Return interface.h: GUID, preferred step [s] and the table of variables for the C side."""
     variables = interface.variables
     places = interface.places
-    used_names = {
-        name
-        for variable in variables
-        if variable.computed or variable.role == "state"
-        for name in (*variable.dependencies, *variable.initial_dependencies)
-    }
-    rows: list[str] = []
-    inputs = [0]
+    last_input = 0
     watched = []
-    kinds = []
-    numbers = []
     for i, variable in enumerate(variables):
-        bounds = _bounds(variable)
-        numbers.append(f"    {{{literal(variable.start)}, {bounds}}},")
-        counts = int(variable.role != "input" or variable.name in used_names)
-        own_derivative = variable.derivative_of and variable.role == "local"
-        role = "DERIVATIVE" if own_derivative else variable.role.upper()
-        kind = _c_type(variable)
-        free = bounds == "-INFINITY, INFINITY" and role not in ("ON_DEMAND", "DERIVATIVE")
-        kinds.append(((role, kind, counts, bounds, free), variable.name))
         if variable.role == "input":
-            inputs.append(i)
-        elif variable.role in ("output", "local", "state") and not own_derivative:
+            last_input = i
+        elif variable.role in ("output", "local", "state") and not _is_derivative(variable):
             watched.append(i)
-    for (role, kind, counts, _, free), group in groupby(kinds, lambda pair: pair[0]):
-        names = [name for _, name in group]
-        remaining_counts = (n if free else 0 for n in range(len(names), 0, -1))
-        rows += (
-            f'    {{"{name}", {role}, {kind}, {counts}, {n}}},'
-            for name, n in zip(names, remaining_counts, strict=True)
-        )
     states = [places[variable.derivative_of or ""] for variable in interface.derivatives]
     derivatives = [places[variable.name] for variable in interface.derivatives]
+    numbers = [f"    {{{literal(variable.start)}, {_bounds(variable)}}}," for variable in variables]
     return _INTERFACE.format(
         guid=guid,
         step=literal(step_size),
         own=interface,
         derivable=interface.directional_derivatives,
-        variables=len(rows),
-        slopes=1 + inputs[-1],  # up to the last input; C has no empty arrays
+        variables=len(variables),
+        slopes=1 + last_input,  # up to the last input; C has no empty arrays
         states=len(states),
         booleans=sum(variable.boolean for variable in variables),
         watched=len(watched),
-        rows="\n".join(rows),
+        rows="\n".join(_rows(interface)),
         numbers="\n".join(numbers),
         state_list=_list(states),
         derivative_list=_list(derivatives),
@@ -293,30 +278,89 @@ def to_c(interface: Interface, guid: str, step_size: float) -> str:
     )
 
 
+def _is_derivative(variable: Variable) -> bool:
+    """Whether a variable is nothing but the derivative of a state; outputs may be one as well."""
+    return bool(variable.derivative_of) and variable.role == "local"
+
+
+class _Kind(NamedTuple):
+    """What the C side distinguishes about a variable.
+
+    Attributes
+    ----------
+    role, type : constants of variable.h.
+    used : 1 if any result depends directly on it, 0 for an input without influence.
+    bounds : of its values.
+    is_free : whether a run of variables of this kind needs only one check.
+    """
+
+    role: str
+    type: str
+    used: int
+    bounds: str
+    is_free: bool
+
+
+def _rows(interface: Interface) -> Iterator[str]:
+    """Yield the rows of the table of variables, see variable.h."""
+    used_names: set[str] = set()
+    for variable in interface.variables:
+        if variable.computed or variable.role == "state":
+            used_names |= {*variable.dependencies, *variable.initial_dependencies}
+    kinds = [_find_kind(variable, used_names) for variable in interface.variables]
+    pairs = zip(kinds, interface.variables, strict=True)
+    for kind, group in groupby(pairs, lambda pair: pair[0]):
+        names = [variable.name for _, variable in group]
+        for k, name in enumerate(names):
+            alike = 0
+            if kind.is_free:
+                alike = len(names) - k
+            yield f'    {{"{name}", {kind.role}, {kind.type}, {kind.used}, {alike}}},'
+
+
+def _find_kind(variable: Variable, used_names: Collection[str]) -> _Kind:
+    role = variable.role.upper()
+    if _is_derivative(variable):
+        role = "DERIVATIVE"
+    bounds = _bounds(variable)
+    is_unbounded = bounds == "-INFINITY, INFINITY"
+    return _Kind(
+        role=role,
+        type=_c_type(variable),
+        used=int(variable.role != "input" or variable.name in used_names),
+        bounds=bounds,
+        is_free=is_unbounded and role not in ("ON_DEMAND", "DERIVATIVE"),
+    )
+
+
 def _c_type(variable: Variable) -> str:
     if variable.boolean:
         return "LOGICAL"
-    return "INTEGER" if variable.enumeration or variable.integer else "REAL"
+    if variable.enumeration or variable.integer:
+        return "INTEGER"
+    return "REAL"
 
 
-_INT32 = (-(2.0**31), 2.0**31 - 1.0)
+_MIN_INT32 = -(2.0**31)
+_MAX_INT32 = 2.0**31 - 1.0
 
 
 def _bounds(variable: Variable) -> str:
+    """Return the bounds outside which values are refused, as C."""
     if variable.enumeration:
         return f"1.0, {literal(len(variable.enumeration.items))}"
     if variable.boolean:
         return "0.0, 1.0"
+    lower = "-INFINITY"
+    upper = "INFINITY"
     if variable.integer:
-        lowest = _INT32[0] if variable.least is None else variable.least
-        highest = _INT32[1] if variable.greatest is None else variable.greatest
-        return f"{literal(lowest)}, {literal(highest)}"
-    limits = (variable.least, variable.greatest) if variable.limited else (None, None)
-    free = ("-INFINITY", "INFINITY")
-    lower, upper = (
-        fallback if limit is None else literal(limit)
-        for limit, fallback in zip(limits, free, strict=True)
-    )
+        lower = literal(_MIN_INT32)
+        upper = literal(_MAX_INT32)
+    if variable.integer or variable.limited:
+        if variable.least is not None:
+            lower = literal(variable.least)
+        if variable.greatest is not None:
+            upper = literal(variable.greatest)
     return f"{lower}, {upper}"
 
 
@@ -378,10 +422,9 @@ def extract_numbers(text: str) -> tuple[str, bytes]:
     guid = _GUID.search(text)
     if table is None or guid is None:
         raise ValueError("no interface.h of this version")
-    rows = table[2].replace("INFINITY", "inf").translate(str.maketrans("{},", "   ")).split()
-    content = guid[2].encode().ljust(_GUID_SIZE, b"\0") + struct.pack(
-        f"<{len(rows)}d", *map(float, rows)
-    )
+    words = table[2].replace("INFINITY", "inf").translate(str.maketrans("{},", "   ")).split()
+    content = guid[2].encode().ljust(_GUID_SIZE, b"\0")
+    content += struct.pack(f"<{len(words)}d", *map(float, words))
     zeros = re.sub(r"\{.*\}", "{0.0, 0.0, 0.0}", table[2])
     return _GUID.sub(r'\1"', text.replace(table[2], zeros)), content
 
@@ -389,4 +432,6 @@ def extract_numbers(text: str) -> tuple[str, bytes]:
 def literal(value: float) -> str:
     """Return a C literal that reads back as the same double."""
     text = f"{value:.17g}"
-    return text if any(c in text for c in ".en") else f"{text}.0"
+    if not any(c in text for c in ".en"):  # else an integer in C
+        text += ".0"
+    return text

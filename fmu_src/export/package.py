@@ -85,8 +85,10 @@ class Content:
 
 def read_c_source(name: str) -> str:
     """Return the text of a C file of the package."""
-    folder = _C if (_C / name).is_file() else _EQUATIONS
-    return (folder / name).read_text(encoding="utf-8")
+    path = _C / name
+    if path.is_file():
+        return path.read_text(encoding="utf-8")
+    return (_EQUATIONS / name).read_text(encoding="utf-8")
 
 
 def add_headers(sources: Mapping[str, str]) -> dict[str, str]:
@@ -123,50 +125,21 @@ def write_fmu(
     path = to_path(path, "an FMU")
     names = [platforms] if isinstance(platforms, str) else list(platforms)
     requested_targets = check_request(path, names)
-    missing = [
-        t.folder
-        for t in requested_targets
-        if content.libraries and t.folder not in content.libraries
-    ]
-    if missing:
-        raise ExportError(
-            f"platform '{missing[0]}': this FMU needs a library, which is given for "
-            f"{', '.join(content.libraries)} only."
-        )
+    if content.libraries:
+        _require_libraries(content, requested_targets)
     interface = content.table
     about = content.about
     guid, sources = translation_unit(content, fmi)
+    write_xml = description3.to_xml3 if fmi == 3 else to_xml
     members: dict[str, bytes] = {
-        "modelDescription.xml": (description3.to_xml3 if fmi == 3 else to_xml)(
-            interface, about, guid
-        ),
+        "modelDescription.xml": write_xml(interface, about, guid),
         **read_licence(),
         **content.members,
     }
     members |= {f"sources/{name}": text.encode() for name, text in sorted(sources.items())}
     if fmi == 3:
-        members["sources/buildDescription.xml"] = description3.build_description(about)
-        picture = members.pop("model.png", None)
-        if picture:
-            members[description3.ICON] = picture
-        connected = description3.to_terminals(
-            interface, content.terminals, icon=picture is not None
-        )
-        if connected:
-            members[description3.TERMINALS] = connected
-    folders = _FOLDERS if fmi == 3 else {}
-    with scratch_folder() as home:
-        for name, text in sources.items():
-            (home / name).write_text(text, encoding="utf-8")
-        for target in report_progress(
-            requested_targets, progress, lambda requested: requested.folder
-        ):
-            binary = content.libraries.get(target.folder)
-            library = _build_library(home / "all.c", about.identifier, target, binary)
-            for folder in folders.get(target.folder, (target.folder,)):
-                members[f"binaries/{folder}/{about.identifier}{target.suffix}"] = library
-                if binary:
-                    members[f"binaries/{folder}/{binary.name}"] = binary.content
+        _add_members3(members, content)
+    members |= _build_libraries(content, sources, requested_targets, fmi, progress)
     if content.stimuli:
         members |= result_files(members, content.stimuli)
     if content.origin:
@@ -174,6 +147,55 @@ def write_fmu(
     write_archive(members, path, about.created)
     remember(path)
     return path
+
+
+def _require_libraries(content: Content, requested_targets: Iterable[Target]) -> None:
+    """Raise ExportError if a component needs a library that it does not have for a target."""
+    for target in requested_targets:
+        if target.folder not in content.libraries:
+            raise ExportError(
+                f"platform '{target.folder}': this FMU needs a library, which is given for "
+                f"{', '.join(content.libraries)} only."
+            )
+
+
+def _add_members3(members: dict[str, bytes], content: Content) -> None:
+    """Add what only FMI 3.0 has: build description, icon and terminals."""
+    members["sources/buildDescription.xml"] = description3.build_description(content.about)
+    picture = members.pop("model.png", None)
+    if picture:
+        members[description3.ICON] = picture
+    terminals = description3.to_terminals(
+        content.table, content.terminals, icon=picture is not None
+    )
+    if terminals:
+        members[description3.TERMINALS] = terminals
+
+
+def _build_libraries(
+    content: Content,
+    sources: Mapping[str, str],
+    requested_targets: Sequence[Target],
+    fmi: Version,
+    progress: Progress,
+) -> dict[str, bytes]:
+    """Return the members of an FMU in binaries/."""
+    identifier = content.about.identifier
+    folders = _FOLDERS if fmi == 3 else {}
+    members = {}
+    with scratch_folder() as home:
+        for name, text in sources.items():
+            (home / name).write_text(text, encoding="utf-8")
+        for target in report_progress(
+            requested_targets, progress, lambda requested: requested.folder
+        ):
+            binary = content.libraries.get(target.folder)
+            library = _build_library(home / "all.c", identifier, target, binary)
+            for folder in folders.get(target.folder, (target.folder,)):
+                members[f"binaries/{folder}/{identifier}{target.suffix}"] = library
+                if binary:
+                    members[f"binaries/{folder}/{binary.name}"] = binary.content
+    return members
 
 
 def read_licence() -> dict[str, bytes]:
@@ -187,13 +209,19 @@ def translation_unit(content: Content, fmi: Version = 2) -> tuple[str, dict[str,
     interface = content.table
     about = content.about
     component_sources = content.sources
-    patterns = (*_GLUE, "fmi3*.[ch]") if fmi == 3 else _GLUE
-    glue = [file.name for pattern in patterns for file in sorted(_C.glob(pattern))]
+    patterns: tuple[str, ...] = _GLUE
+    head = _ALL_C
+    if fmi == 3:
+        patterns = (*_GLUE, "fmi3*.[ch]")
+        head = _INSIDE + _ALL_C
+    glue: list[str] = []
+    for pattern in patterns:
+        glue += [file.name for file in sorted(_C.glob(pattern))]
     text = "".join(component_sources.values())
     sources = {n: read_c_source(n) for n in glue if n not in _OPTIONAL or f'"{n}"' in text}
     sources |= component_sources
     includes = "".join(f'#include "{name}"\n' for name in sources if name.endswith(".c"))
-    sources["all.c"] = (_INSIDE if fmi == 3 else "") + _ALL_C + includes
+    sources["all.c"] = head + includes
     if fmi == 3:
         sources["extents.h"] = description3.to_extents(interface)
     guid = _guid(interface, about, sources)
@@ -249,11 +277,14 @@ def zip_members(path: Path, members: Mapping[str, bytes], created: str) -> None:
             entry = zipfile.ZipInfo(name, date.timetuple()[:6])
             entry.compress_type = zipfile.ZIP_DEFLATED
             entry.create_system = 3  # Unix on every host
-            entry.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
-            # Higher levels take three times as long for 0.4 %.
-            archive.writestr(
-                entry, content, compresslevel=9 if len(content) < _HIGH_COMPRESSION_LIMIT else 6
-            )
+            permissions = 0o644
+            if name.startswith("binaries/"):
+                permissions = 0o755
+            entry.external_attr = permissions << 16
+            level = 9
+            if len(content) >= _HIGH_COMPRESSION_LIMIT:
+                level = 6  # higher ones take three times as long for 0.4 %
+            archive.writestr(entry, content, compresslevel=level)
 
 
 _VALUES = re.compile(rb'(?<!<Dimension )\b(start|guid|instantiationToken)="[^"]*"')

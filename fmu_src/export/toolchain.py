@@ -118,7 +118,9 @@ def build(source: Path, identifier: str, target: Target, flags: Sequence[str] = 
             parts.append(
                 _compile_library(source, ("-target", triple, *CFLAGS, *_LINK), output, last_flags)
             )
-    return parts[0] if len(parts) == 1 else join_universal_binary(parts)
+    if len(parts) == 1:
+        return parts[0]
+    return join_universal_binary(parts)
 
 
 def _compile_library(
@@ -149,8 +151,10 @@ _DIRECTORY = 0xFADE0C02  # load command, and its blob with hashes of pages
 def _sign_again(binary: bytearray) -> None:
     """Renew the hashes in the ad-hoc signature of a 64-bit Mach-O file, if it has one."""
     magic, *_, commands = struct.unpack_from("<5I", binary)
+    if magic != _MACH_MAGIC_64:
+        return
     place = 32  # behind the header
-    for _ in range(commands if magic == _MACH_MAGIC_64 else 0):
+    for _ in range(commands):
         command, size, offset = struct.unpack_from("<3I", binary, place)
         place += size
         if command != _SIGNATURE:
@@ -188,7 +192,10 @@ def build_wasm(source: Path, *, powers: bool) -> bytes:
     """Compile one translation unit, which may call pow(), to WebAssembly and return its bytes."""
     with scratch_folder() as folder:
         output = folder / f"{source.stem}.wasm"
-        return _compile_library(source, _WASM, output, (*(_POW if powers else ()), *_WASM_LAST))
+        last_flags = _WASM_LAST
+        if powers:
+            last_flags = (*_POW, *_WASM_LAST)
+        return _compile_library(source, _WASM, output, last_flags)
 
 
 def get_ready() -> None:
