@@ -6,7 +6,7 @@ import stat
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from io import BufferedReader
 from pathlib import Path
@@ -51,7 +51,9 @@ class _Bounded:
         self.seekable = file.seekable
 
     def read(self, size: int = -1) -> bytes:
-        byte_count = self._size - self._file.tell() if size < 0 else size
+        byte_count = size
+        if size < 0:
+            byte_count = self._size - self._file.tell()
         if byte_count > MAX_DIRECTORY_BYTES:
             raise zipfile.BadZipFile(f"its table of contents has {byte_count} bytes")
         return self._file.read(byte_count)
@@ -91,50 +93,46 @@ class Archive:
                 zip_entries = self._archive.infolist()
             except DAMAGED as error:
                 raise self._refusal(format_error(error)) from error
-            if len(zip_entries) > MAX_ENTRIES:
-                raise self._refusal(
-                    f"it has {len(zip_entries)} entries; at most {MAX_ENTRIES} are read"
-                )
-            for entry in zip_entries:
-                for text in hazards(entry):
-                    raise self._refusal(text)
-            size = sum(entry.file_size for entry in zip_entries)
-            if size > MAX_TOTAL_BYTES:
-                raise self._refusal(
-                    f"it claims {size} bytes unpacked; at most {MAX_TOTAL_BYTES} are read"
-                )
-            entries = {
-                entry.filename.replace("\\", "/"): entry
-                for entry in zip_entries
-                if not is_folder(entry)
-            }
-            name_counts = Counter(
-                entry.filename.replace("\\", "/").casefold()
-                for entry in zip_entries
-                if not is_folder(entry)
-            )
-            for name, count in name_counts.items():
-                if count > 1:
-                    raise self._refusal(f"it has {count} entries named {quote(name)}")
-            for name in name_counts:
-                for folder in name_counts.keys() & set(_list_folders(name)):
-                    raise self._refusal(f"its entry {quote(folder)} is a file and a folder")
-            self._entries = entries
+            self._require_safe(zip_entries)
+            files = [entry for entry in zip_entries if not is_folder(entry)]
+            self._require_unique(files)
+            self._entries = {entry.filename.replace("\\", "/"): entry for entry in files}
             if any("\\" in entry.filename for entry in zip_entries):
-                observation = "backslashes separate its folders"
-                remedy = "tools on other systems than Windows may not read it"
-                log_findings(
-                    [
-                        caution(
-                            check="archive-backslash",
-                            where=str(self.path),
-                            found=observation,
-                            remedy=remedy,
-                        )
-                    ]
+                finding = caution(
+                    check="archive-backslash",
+                    where=str(self.path),
+                    found="backslashes separate its folders",
+                    remedy="tools on other systems than Windows may not read it",
                 )
+                log_findings([finding])
             self._cleanup = cleanup.pop_all()
         return self
+
+    def _require_safe(self, zip_entries: Sequence[zipfile.ZipInfo]) -> None:
+        """Raise ArtifactError for too many entries, one with a hazard, or too many bytes."""
+        if len(zip_entries) > MAX_ENTRIES:
+            raise self._refusal(
+                f"it has {len(zip_entries)} entries; at most {MAX_ENTRIES} are read"
+            )
+        for entry in zip_entries:
+            hazard = next(hazards(entry), None)
+            if hazard is not None:
+                raise self._refusal(hazard)
+        size = sum(entry.file_size for entry in zip_entries)
+        if size > MAX_TOTAL_BYTES:
+            raise self._refusal(
+                f"it claims {size} bytes unpacked; at most {MAX_TOTAL_BYTES} are read"
+            )
+
+    def _require_unique(self, files: Iterable[zipfile.ZipInfo]) -> None:
+        """Raise ArtifactError for files with one name on some system, or the name of a folder."""
+        name_counts = Counter(entry.filename.replace("\\", "/").casefold() for entry in files)
+        for name, count in name_counts.items():
+            if count > 1:
+                raise self._refusal(f"it has {count} entries named {quote(name)}")
+        for name in name_counts:
+            for folder in name_counts.keys() & set(_list_folders(name)):
+                raise self._refusal(f"its entry {quote(folder)} is a file and a folder")
 
     def __exit__(self, *_: object) -> None:
         self._cleanup.close()
@@ -237,7 +235,9 @@ def explain_unreadable(entry: zipfile.ZipInfo) -> str | None:
     """Return why an entry is not read, or None."""
     kind = stat.S_IFMT(entry.external_attr >> 16)
     if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
-        kind_text = "a symbolic link" if kind == stat.S_IFLNK else "a special file"
+        kind_text = "a special file"
+        if kind == stat.S_IFLNK:
+            kind_text = "a symbolic link"
         return f"is {kind_text}; an FMU holds ordinary files only."
     if entry.flag_bits & 0x1:
         return "is encrypted, so that no importer can read it."

@@ -77,9 +77,12 @@ class ExchangeInstance(Instance):
         self._is_integrating = False
         self._next_event: float | None = None  # [s]
         super().__init__(fmu, tell, failure)
-        version = fmu.fmi
-        self._update = "newDiscreteStates" if version == 2 else "updateDiscreteStates"
-        self._derivatives = "getDerivatives" if version == 2 else "getContinuousStateDerivatives"
+        if fmu.fmi == 2:
+            self._update = "newDiscreteStates"
+            self._derivatives = "getDerivatives"
+        else:
+            self._update = "updateDiscreteStates"
+            self._derivatives = "getContinuousStateDerivatives"
 
     def call(self, function: str, *arguments: Any) -> None:
         """Call a function; a variable that is set between two steps is set in event mode."""
@@ -179,7 +182,9 @@ class ExchangeInstance(Instance):
                 break
         else:
             raise self._failure(CallError("the iteration of its events does not end"))
-        self._next_event = float(next_event) if is_defined and next_event > time else None
+        self._next_event = None
+        if is_defined and next_event > time:
+            self._next_event = float(next_event)
         self.ask("enterContinuousTimeMode")
         self._is_continuous = True
         if self._solver is not None:
@@ -188,7 +193,9 @@ class ExchangeInstance(Instance):
     def _new_solver(self) -> _Solver:
         begin, stop = self._experiment
         fmu = self._about
-        max_step = float("inf") if stop is None else _MAX_STEP_SHARE * (stop - begin)
+        max_step = float("inf")
+        if stop is not None:
+            max_step = _MAX_STEP_SHARE * (stop - begin)
 
         def get_nominals(values: Any, count: int) -> None:
             self.slave.getNominalsOfContinuousStates(values, count)

@@ -133,6 +133,9 @@ class FmuInstance:
             raise SimulationError(
                 f"{self.fmu}: has no binary for this platform; expected {library}."
             )
+        solver_options: dict[str, Any] = {}
+        if model_description.coSimulation is None:
+            solver_options = _solver_options(model_description)
         unpacked = UnpackedFmu(
             folder=str(folder),
             guid=model_description.guid,
@@ -140,9 +143,7 @@ class FmuInstance:
             name=self.name,
             fmi=fmi,
             variables=self.declared,
-            **(
-                _solver_options(model_description) if model_description.coSimulation is None else {}
-            ),
+            **solver_options,
         )
         try:
             if sandbox is None:
@@ -293,7 +294,9 @@ def build_mixed_buffer(
     """Return a buffer of variables of any type; see `MixedBuffer`."""
     if all(instance.variables[name].type == "Real" for name in names):
         return instance.buffer(names, values)
-    return MixedBuffer(instance, names, np.zeros(len(names)) if values is None else values)
+    if values is None:
+        values = np.zeros(len(names))
+    return MixedBuffer(instance, names, values)
 
 
 def _setter(kind: str) -> str:
@@ -372,7 +375,9 @@ class FmuPool:
     ) -> Iterator[FmuInstance]:
         """Yield a new or kept instance; keep it unless a call failed or it ends with `system`."""
         key = _key(fmu, name)
-        instance = self._idle.pop(key, None) if key else None
+        instance = None
+        if key is not None:
+            instance = self._idle.pop(key, None)
         if instance is None:
             instance = FmuInstance(fmu, name=name, system=system).__enter__()
         try:

@@ -36,9 +36,10 @@ class CallError(Exception):
     """A function of an FMU has failed; without a status, `function` is the message."""
 
     def __init__(self, function: str, status: int | None = None) -> None:
-        super().__init__(
-            function if status is None else str(FMICallException(function=function, status=status))
-        )
+        text = function
+        if status is not None:
+            text = str(FMICallException(function=function, status=status))
+        super().__init__(text)
         self.function = function
         self.status = status
 
@@ -126,7 +127,9 @@ class _Fmi2:
             ended = slave.getBooleanStatus(fmi2.fmi2Terminated)
         except Exception:  # FMPy raises bare exceptions; tools may lack the function
             return ""
-        return "fmi2DoStep requested termination" if ended else ""
+        if not ended:
+            return ""
+        return "fmi2DoStep requested termination"
 
     def kind(self, kind: str, _declared: str | None) -> tuple[str, Any]:
         """Return suffix of the functions and C type for a type of variable."""
@@ -195,7 +198,9 @@ class _Fmi3(_Fmi2):
         call("fmi3DoStep", time, size, c_bool(True), *results)
         if end.value:
             return "fmi3DoStep requested termination"
-        return "fmi3DoStep returned early" if early.value else ""
+        if early.value:
+            return "fmi3DoStep returned early"
+        return ""
 
 
 VERSIONS: Mapping[int, _Fmi2] = {2: _Fmi2(), 3: _Fmi3()}
@@ -220,9 +225,10 @@ class Instance:
         self.held = {array: list(starts) for array, starts in self._starts.items()}
         self._experiment: tuple[float, float | None] = (0.0, None)
         try:
+            load = self.fmi.models if fmu.exchange else self.fmi.slaves
             # FMPy changes the working directory and may not restore it.
             with chdir(fmu.folder):
-                self.slave = (self.fmi.models if fmu.exchange else self.fmi.slaves)(
+                self.slave = load(
                     guid=fmu.guid,
                     modelIdentifier=fmu.identifier,
                     unzipDirectory=fmu.folder,
@@ -260,7 +266,8 @@ class Instance:
         error = CallError(function, status)
         if function == "fmi2DoStep" and status == _DISCARD:
             reason = self.fmi.explain_discard(self.slave)
-            error = CallError(reason) if reason else error
+            if reason:
+                error = CallError(reason)
         raise self._failure(error)
 
     def setup(self, time: float, stop: float | None) -> None:
@@ -305,9 +312,9 @@ class Instance:
             function = self.fmi.functions["get"] + name
             self.call(function, (c_uint * 1)(array), 1, *self.fmi.values(pointer, len(pointer)))
             value = pointer[position]
-            read_values.append(
-                (value or b"").decode(errors="replace") if kind == "String" else value
-            )
+            if kind == "String":
+                value = (value or b"").decode(errors="replace")
+            read_values.append(value)
         return read_values
 
     def set_slopes(self, references: Sequence[int], slopes: Sequence[float]) -> None:
@@ -324,8 +331,9 @@ class Instance:
 
     def buffer(self, references: Sequence[int], values: Array | None = None) -> "LocalBuffer":
         """Return a buffer of Real variables in `values` (n,), contiguous and new by default."""
-        buffer_values = np.zeros(len(references)) if values is None else values
-        return LocalBuffer(self, references, buffer_values)
+        if values is None:
+            values = np.zeros(len(references))
+        return LocalBuffer(self, references, values)
 
     def close(self, *, stepping: bool) -> None:
         """Terminate and free the instance, and unload the binary."""
@@ -387,7 +395,10 @@ class LocalBuffer:
         """Set the variables; other elements of their arrays keep their values."""
         held = self.instance.held
         if not self.is_plain:
-            self._whole[:] = [value for array in self._arrays for value in held[array]]
+            whole: list[float] = []
+            for array in self._arrays:
+                whole += held[array]
+            self._whole[:] = whole
             self._whole[self._places] = self.values
         self.instance.call(self._write, *self._arguments)
         if self._has_arrays:

@@ -78,11 +78,9 @@ class Station:
     def compute_time(self, steps: int, step_size: float) -> float:
         """Return its time [s] after a number of communication steps."""
         done_steps = steps - steps % self.every
-        return (
-            self.start(done_steps - 1, step_size) + self.every * step_size
-            if done_steps
-            else self.begin
-        )
+        if not done_steps:
+            return self.begin
+        return self.start(done_steps - 1, step_size) + self.every * step_size
 
     def read_outputs(self) -> None:
         """Read the outputs."""
@@ -123,7 +121,9 @@ class Layout:
 
     def time(self, k: int) -> float:
         """Return communication point k [s]."""
-        return self.begin + k * self.step if self.times is None else float(self.times[k])
+        if self.times is None:
+            return self.begin + k * self.step
+        return float(self.times[k])
 
     def propagate(self, time: float) -> None:
         """Set inputs along direct feedthrough [s]; raise SimulationError if one is not finite."""
@@ -161,7 +161,9 @@ class PythonStepper:
     def __init__(self, layout: Layout) -> None:
         self._layout = layout
         self._zeros = np.zeros_like(layout.values)
-        self._step = self._gauss_seidel if layout.scheme.order == "gauss_seidel" else self._jacobi
+        self._step = self._jacobi
+        if layout.scheme.order == "gauss_seidel":
+            self._step = self._gauss_seidel
         self.begin(np.empty((0, len(layout.rows))))
 
     def begin(self, recorded_rows: Array) -> None:

@@ -70,18 +70,26 @@ def native_stepper(
     layout: Layout, library: ctypes.CDLL | None = None, progress: StepRecord | None = None
 ) -> "NativeStepper | None":
     """Return the steps in C; None for foreign FMUs or refreshed outputs, or without compiler."""
-    converting = any(station.conversions for station in layout.stations)
-    uneven = layout.times is not None
-    if layout.scheme.refreshed != "none" or layout.begin or converting or uneven:
+    if not _is_supported(layout):
         return None
-    buffers = [b for station in layout.stations for b in (station.inputs, station.outputs)]
-    local_buffers = [buffer for buffer in buffers if _is_native(buffer)]
-    library = (library or _library()) if len(local_buffers) == len(buffers) else None
+    inputs = []
+    outputs = []
+    for station in layout.stations:
+        if not (_is_native(station.inputs) and _is_native(station.outputs)):
+            return None
+        inputs.append(station.inputs)
+        outputs.append(station.outputs)
+    library = library or _library()
     if library is None:
         return None
-    return NativeStepper(
-        layout, local_buffers[::2], local_buffers[1::2], library, progress or StepRecord()
-    )
+    return NativeStepper(layout, inputs, outputs, library, progress or StepRecord())
+
+
+def _is_supported(layout: Layout) -> bool:
+    """Return whether master.c can step a system: at even steps from 0 s, in the same units."""
+    if layout.scheme.refreshed != "none" or layout.begin or layout.times is not None:
+        return False
+    return not any(station.conversions for station in layout.stations)
 
 
 def _is_native(buffer: Buffer) -> TypeGuard[LocalBuffer]:
@@ -151,7 +159,9 @@ class NativeStepper:
         layout = self._layout
         system = self._system
         end = End(self._advance(ctypes.byref(system), ctypes.c_int64(stop)))
-        failing = int(self._progress.station) if end in FUNCTIONS else -1
+        failing = -1
+        if end in FUNCTIONS:
+            failing = int(self._progress.station)
         set_times(layout, self.done, end, failing)
         if end is End.OUTSIDE:
             layout.require_limits(layout.values, (self.done - 1) * layout.step)
@@ -175,10 +185,9 @@ def _connect(
 ) -> tuple[LocalBuffer, LocalBuffer]:
     slave = input_buffer.instance.slave
     c_station.component = slave.component
-    c_station.set, c_station.get, c_station.step = (
-        ctypes.cast(slave.dll[name], ctypes.c_void_p).value
-        for name in ("fmi2SetReal", "fmi2GetReal", "fmi2DoStep")
-    )
+    c_station.set = ctypes.cast(slave.dll["fmi2SetReal"], ctypes.c_void_p).value
+    c_station.get = ctypes.cast(slave.dll["fmi2GetReal"], ctypes.c_void_p).value
+    c_station.step = ctypes.cast(slave.dll["fmi2DoStep"], ctypes.c_void_p).value
     c_station.inputs = input_buffer.values.size
     c_station.outputs = output_buffer.values.size
     c_station.input_references = input_buffer.references.ctypes.data
@@ -214,8 +223,9 @@ def step_rows(
             results = ctypes.byref(done), ctypes.byref(status)
             end = End(library["through"](ctypes.byref(c_station), *places, stop, *results))
             k = done.value - (end is End.DONE)
-            over = end in (End.DONE, End.GET_FAILED)
-            component.time = float(times[k] + sizes[k]) if over else float(times[k])
+            component.time = float(times[k])
+            if end in (End.DONE, End.GET_FAILED):  # the step itself has succeeded
+                component.time = float(times[k] + sizes[k])
             if end is not End.DONE:
                 inputs.instance.fail(FUNCTIONS[end], status.value)
         return output_rows
@@ -231,7 +241,9 @@ def step_rows(
 def _library() -> ctypes.CDLL | None:
     with scratch_folder() as folder:
         file = write_library(folder)
-        return ctypes.CDLL(str(file)) if file else None
+        if file is None:
+            return None
+        return ctypes.CDLL(str(file))
 
 
 def write_library(folder: Path) -> Path | None:

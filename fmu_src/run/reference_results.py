@@ -115,40 +115,27 @@ def waves(amplitudes: Mapping[str, float], middle: float = 0.0) -> dict[str, Arr
 
 def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, bytes]:
     """Run an FMU and return its folder `extra/`, empty if it cannot be run."""
-    from fmu_src.run.fmu import FmuInstance
     from fmu_src.run.instance import PLATFORM, SUFFIX, VERSIONS  # slow to import
 
     root = ET.fromstring(members["modelDescription.xml"])
     kind = root.find("CoSimulation")
     assert kind is not None, "no FMU for co-simulation"
     name = kind.get("modelIdentifier", "")
-    binary_folder = VERSIONS[3 if root.get("fmiVersion") == "3.0" else 2].folder
+    version = 2
+    if root.get("fmiVersion") == "3.0":
+        version = 3
+    binary_folder = VERSIONS[version].folder
     if f"{binary_folder}{name}{SUFFIX}" not in members:
         return {}
-    outputs_by_order: dict[str, dict[str, Array]] = {}
+    needed = (binary_folder, "resources/", "modelDescription.xml")
+    outputs_by_order: list[dict[str, Array]] = []
     with scratch_folder() as home:
-        for member, content in members.items():
-            if member.startswith((binary_folder, "resources/", "modelDescription.xml")):
-                file = home / member
-                file.parent.mkdir(parents=True, exist_ok=True)
-                file.write_bytes(content)
+        _write_members(members, needed, home)
         for order, *_ in RUNS:
-            try:
-                with FmuInstance(Path(name), unpacked=home) as instance:
-                    # Those of FMI 2.0 must be continuous.
-                    outputs = [
-                        variable.name
-                        for variable in instance.description.modelVariables
-                        if variable.causality == "output"
-                        and variable.type == "Real"
-                        and (instance.declared or variable.variability != "discrete")
-                    ]
-                    rows = play(instance, order, outputs, stimuli.t, **vars(stimuli))
-            except SimulationError:
+            outputs = _run(Path(name), home, order, stimuli)
+            if outputs is None:
                 return {}
-            if not np.all(np.isfinite(rows)):
-                return {}
-            outputs_by_order[order] = dict(zip(outputs, rows.T, strict=True))
+            outputs_by_order.append(outputs)
     stem = f"extra/co_simulation/{name}"
     text = _README.format(name=name, platform=PLATFORM, step=stimuli.step, tolerance=TOLERANCE)
     experiment = ExperimentFiles(
@@ -161,12 +148,46 @@ def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, by
     )
     files = {
         "extra/README.txt": text.encode(),
-        **experiment_files(experiment, stimuli.inputs, outputs_by_order.values()),
+        **experiment_files(experiment, stimuli.inputs, outputs_by_order),
     }
     if stimuli.parameters:
         row = {parameter: np.array([value]) for parameter, value in stimuli.parameters.items()}
         files[f"{stem}_parameters.csv"] = table(row, 17)
     return files | manifest_files([experiment], files)
+
+
+def _write_members(members: Mapping[str, bytes], prefixes: tuple[str, ...], home: Path) -> None:
+    """Write the members of an FMU whose names begin in one of these ways into a folder."""
+    for member, content in members.items():
+        if member.startswith(prefixes):
+            file = home / member
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_bytes(content)
+
+
+def _run(fmu: Path, home: Path, order: str, stimuli: Stimuli) -> dict[str, Array] | None:
+    """Return the outputs of an FMU that is unpacked in `home`; None if it fails."""
+    from fmu_src.run.fmu import FmuInstance
+
+    try:
+        with FmuInstance(fmu, unpacked=home) as instance:
+            outputs = _list_outputs(instance)
+            rows = play(instance, order, outputs, stimuli.t, **vars(stimuli))
+    except SimulationError:
+        return None
+    if not np.all(np.isfinite(rows)):
+        return None
+    return dict(zip(outputs, rows.T, strict=True))
+
+
+def _list_outputs(instance: "FmuInstance") -> list[str]:
+    """Return the real outputs of an FMU; those of FMI 2.0 must be continuous."""
+    names = []
+    for variable in instance.description.modelVariables:
+        is_discrete = variable.variability == "discrete" and not instance.declared
+        if variable.causality == "output" and variable.type == "Real" and not is_discrete:
+            names.append(variable.name)
+    return names
 
 
 def experiment_files(
@@ -187,11 +208,15 @@ def experiment_files(
 
 def table(columns: Mapping[str, Array], digits: int) -> bytes:
     """Return a CSV file with `digits` significant digits."""
+
+    def join_numbers(row: Iterable[float]) -> str:
+        # Adding zero turns -0 into 0.
+        return ",".join(f"{value + 0.0:.{digits}g}" for value in row)
+
     header = ",".join(f'"{name}"' for name in columns)
-    rows = zip(*(c.tolist() for c in columns.values()), strict=True)
-    # Adding zero turns -0 into 0.
-    lines = (",".join(f"{value + 0.0:.{digits}g}" for value in row) for row in rows)
-    return "".join(f"{line}\n" for line in (header, *lines)).encode()
+    lines = [header]
+    lines += map(join_numbers, zip(*(column.tolist() for column in columns.values()), strict=True))
+    return "".join(f"{line}\n" for line in lines).encode()
 
 
 def _options(experiment: ExperimentFiles) -> bytes:
@@ -213,25 +238,10 @@ def manifest_files(
     """Return the manifest and the experiments file of the `members` of `extra/`."""
     root = ET.Element("Experiments")
     for experiment in experiments:
-        numbers = {
-            "startTime": experiment.t[0],
-            "stopTime": experiment.t[-1],
-            "tolerance": experiment.tolerance,
-        }
-        numbers |= {"stepSize": experiment.step} if experiment.step else {}
-        texts = {name: f"{value:.12g}" for name, value in numbers.items()}
-        files = {"Stimuli": "in"} | ({"Parameters": "parameters"} if experiment.parameters else {})
-        for name, description, results in experiment.runs:
-            attributes = {"name": name, "description": description} | texts
-            element = ET.SubElement(root, "Experiment", attributes)
-            for kind, end in (files | {"References": results}).items():
-                source = posixpath.relpath(f"{experiment.stem}_{end}.csv", FOLDER)
-                ET.SubElement(element, kind, source=source, type="text/csv")
+        _add_experiment(root, experiment)
     stimulus_texts = {f"{experiment.stem}_in.csv": "stimuli" for experiment in experiments}
-    stimulus_texts |= {
-        f"{experiment.stem}_parameters.csv": "parameters of the experiments"
-        for experiment in experiments
-    }
+    for experiment in experiments:
+        stimulus_texts[f"{experiment.stem}_parameters.csv"] = "parameters of the experiments"
     related = [("experiment/smoke-test", EXPERIMENTS, "application/xml", "how the stimuli are run")]
     for name in members:
         if not name.endswith(".csv"):
@@ -248,6 +258,27 @@ def manifest_files(
         attributes = {"type": kind, "source": posixpath.relpath(name, FOLDER), "role": role}
         ET.SubElement(manifest, "Related", attributes, description=text)
     return {MANIFEST: to_bytes(manifest), EXPERIMENTS: to_bytes(root)}
+
+
+def _add_experiment(root: ET.Element, experiment: ExperimentFiles) -> None:
+    """Add an experiment per run, with the files of its stimuli, parameters and results."""
+    numbers = {
+        "startTime": experiment.t[0],
+        "stopTime": experiment.t[-1],
+        "tolerance": experiment.tolerance,
+    }
+    if experiment.step:
+        numbers["stepSize"] = experiment.step
+    texts = {name: f"{value:.12g}" for name, value in numbers.items()}
+    files = {"Stimuli": "in"}
+    if experiment.parameters:
+        files["Parameters"] = "parameters"
+    for name, description, results in experiment.runs:
+        attributes = {"name": name, "description": description} | texts
+        element = ET.SubElement(root, "Experiment", attributes)
+        for kind, end in (files | {"References": results}).items():
+            source = posixpath.relpath(f"{experiment.stem}_{end}.csv", FOLDER)
+            ET.SubElement(element, kind, source=source, type="text/csv")
 
 
 @dataclass(frozen=True)
@@ -323,7 +354,10 @@ def play(
     instance.initialise(time=float(t[0]), start=parameters, inputs=input_buffer)
     output_rows[0] = output_buffer.read()
     for k in range(1, len(t)):
-        set_row(k if order == "direct" else k - 1)
+        if order == "direct":
+            set_row(k)
+        else:
+            set_row(k - 1)
         if order == "linear":
             set_slopes((rows[k] - rows[k - 1]) / (t[k] - t[k - 1]))
         instance.step(float(t[k - 1]), step or float(t[k] - t[k - 1]))
@@ -342,7 +376,9 @@ def judge_experiment(
     """Note whether `replay` (N, outputs) gives the results in one order, or the one of its name."""
     name = experiment.name
     worst: list[tuple[float, str]] = []
-    for order in [name] if name in orders else orders:
+    if name in orders:
+        orders = [name]
+    for order in orders:
         try:
             rows = replay(order)
         except HesrError as error:
@@ -405,17 +441,15 @@ def _experiment(
             f"Experiment '{name}': it has no step size, so it is for a solver."
         )
         return
-    stimuli, references = (
-        _table(archive, parts[kind], needed="time") for kind in ("Stimuli", "References")
-    )
+    stimuli = _table(archive, parts["Stimuli"], needed="time")
+    references = _table(archive, parts["References"], needed="time")
     t = stimuli.pop("time")
-    result_times = references.pop("time")
-    if t.shape != result_times.shape or np.any(
-        np.abs(t - result_times) > 1e-9 * max(1.0, abs(t[-1]))
-    ):
+    if not _are_same_times(t, references.pop("time")):
         verification.skipped.append(f"Experiment '{name}': its results are at other times.")
         return
-    row = _table(archive, parts["Parameters"]) if "Parameters" in parts else {}
+    row: dict[str, Array] = {}
+    if "Parameters" in parts:
+        row = _table(archive, parts["Parameters"])
     yield ReferenceExperiment(
         name=name,
         tolerance=float(element.get("tolerance", _DEFAULT_TOLERANCE)),
@@ -426,6 +460,14 @@ def _experiment(
     )
 
 
+def _are_same_times(t: Array, result_times: Array) -> bool:
+    """Return whether times (N,) [s] agree up to the digits of files."""
+    if t.shape != result_times.shape:
+        return False
+    tolerance = 1e-9 * max(1.0, abs(t[-1]))
+    return not np.any(np.abs(t - result_times) > tolerance)
+
+
 def _xml(archive: Archive, name: str) -> ET.Element:
     return ET.fromstring(archive.read(name, MAX_TEXT_BYTES))
 
@@ -433,7 +475,7 @@ def _xml(archive: Archive, name: str) -> ET.Element:
 def _table(archive: Archive, name: str, needed: str | None = None) -> dict[str, Array]:
     lines = archive.read(name, MAX_TEXT_BYTES).decode("utf-8").splitlines()
     head, *rows = csv.reader(lines[: _MAX_ROWS + 1], skipinitialspace=True)
-    columns = np.array([[float(cell) for cell in row] for row in rows]).T
+    columns = np.array([list(map(float, row)) for row in rows]).T
     if columns.shape[:1] != (len(head),) or needed not in (None, *head):
         raise ValueError(f"'{name}' is not a table over 'time'")
     return dict(zip(head, columns, strict=True))

@@ -80,7 +80,9 @@ class Sandbox(Child):
         self, request: Any, limit: int = sandbox_child.MAX_ANSWER_BYTES, *, stepping: bool = False
     ) -> Any:
         """Return the answer to a request, at most `limit` bytes; `stepping` has `seconds` a row."""
-        self._known_rows = self.progress()[0] if stepping else None
+        self._known_rows = None
+        if stepping:
+            self._known_rows = self.progress()[0]
         return super().ask(request, limit)
 
     def end_process(self, reason: str) -> DiedError:
@@ -164,8 +166,9 @@ class SandboxedInstance:
             self._numbers[key] = self.sandbox.buffers
             self._sizes[self.sandbox.buffers] = 8 * len(key)
             self.sandbox.buffers += 1
-        buffer_values = np.zeros(len(key)) if values is None else values
-        return _SandboxedBuffer(self, self._numbers[key], key, buffer_values)
+        if values is None:
+            values = np.zeros(len(key))
+        return _SandboxedBuffer(self, self._numbers[key], key, values)
 
     def write(self, buffer: "_SandboxedBuffer") -> None:
         """Set the variables of a buffer with the next message."""
@@ -195,9 +198,8 @@ class SandboxedInstance:
         """Return variables of any type but Real."""
         read_values: list[Any] = list(self._do("get", kind, references) or ())
         kinds: dict[str, set[type]] = {"String": {str}, "Float32": {float}}
-        if {type(value) for value in read_values} - kinds.get(kind, {int, bool}) or len(
-            read_values
-        ) != len(references):
+        wrong_types = {type(value) for value in read_values} - kinds.get(kind, {int, bool})
+        if wrong_types or len(read_values) != len(references):
             raise self.failure(
                 self.sandbox.end_process(INVALID_ANSWER), self._functions["get"] + kind
             )
@@ -206,8 +208,11 @@ class SandboxedInstance:
     def _do(self, method: str, *arguments: Any) -> Any:
         if method == "setup":
             self.sandbox.begin()
-        kind = self._fmi.kind(arguments[0], None)[0] if method in ("set", "get") else ""
-        return self._call(f"{self._functions[method]}{kind}", method, *arguments)
+        function = self._functions[method]
+        if method in ("set", "get"):
+            suffix, _ = self._fmi.kind(arguments[0], None)
+            function += suffix
+        return self._call(function, method, *arguments)
 
     setup = partialmethod(_do, "setup")
     enter_initialisation = partialmethod(_do, "enter_initialisation")
@@ -230,17 +235,21 @@ class SandboxedInstance:
         self, method: str, *arguments: Any, ahead: Sequence[int] = (), stepping: bool = False
     ) -> Any:
         """Do what `_call` does; raise CallError or DiedError as they are."""
-        calls, self._written = [*(call for _, call in self._written), (method, *arguments)], []
+        calls = [*(call for _, call in self._written), (method, *arguments)]
+        self._written = []
         self._known.clear()
         request = {"instance_number": self.number, "calls": calls, "ahead": ahead}
         limit = sandbox_child.MAX_ANSWER_BYTES + 2 * sum(self._sizes.values())
         answer = self.sandbox.ask(request, limit, stepping=stepping)
         try:
-            unloadable, failed = (answer.get(key) for key in ("unloadable", "failed"))
+            unloadable = answer.get("unloadable")
+            failed = answer.get("failed")
             for instance_number, status, text in answer["messages"]:
                 self.sandbox.tells[instance_number](int(status), str(text))
             self._know(ahead, answer["ahead"])
-            result = None if unloadable or failed else answer["results"][len(calls) - 1]
+            result = None
+            if not (unloadable or failed):
+                result = answer["results"][len(calls) - 1]
             if method == "read" and not failed:
                 self._know(arguments, [result])
         except (ValueError, TypeError, KeyError, AttributeError, IndexError) as error:
@@ -259,8 +268,9 @@ class SandboxedInstance:
 
     def failure(self, error: Exception, function: str = "") -> Exception:
         """Return the error of a function that failed or ended the process."""
-        died = isinstance(error, DiedError) and function
-        return self._failure(DiedError(f"{function} {error}") if died else error)
+        if isinstance(error, DiedError) and function:
+            error = DiedError(f"{function} {error}")
+        return self._failure(error)
 
 
 @dataclass
@@ -280,25 +290,23 @@ class _SandboxedBuffer:
 
 def sandbox_stepper(layout: Layout) -> "SandboxStepper | None":
     """Return the steps of a system whose FMUs share a process; None for others."""
-    sandboxed_buffers = [
-        buffer
-        for station in layout.stations
-        for buffer in (station.inputs, station.outputs)
-        if isinstance(buffer, _SandboxedBuffer) and not station.conversions
-    ]
-    uneven = layout.times is not None
-    if (
-        layout.scheme.refreshed != "none"
-        or uneven
-        or len(sandboxed_buffers) != 2 * len(layout.stations)
-    ):
+    if layout.scheme.refreshed != "none" or layout.times is not None:
         return None
-    is_one_process = len({id(buffer.instance.sandbox) for buffer in sandboxed_buffers}) == 1
-    return (
-        SandboxStepper(layout, sandboxed_buffers[::2], sandboxed_buffers[1::2])
-        if is_one_process
-        else None
-    )
+    inputs = []
+    outputs = []
+    for station in layout.stations:
+        if station.conversions:
+            return None
+        if not isinstance(station.inputs, _SandboxedBuffer):
+            return None
+        if not isinstance(station.outputs, _SandboxedBuffer):
+            return None
+        inputs.append(station.inputs)
+        outputs.append(station.outputs)
+    processes = {id(buffer.instance.sandbox) for buffer in (*inputs, *outputs)}
+    if len(processes) != 1:
+        return None
+    return SandboxStepper(layout, inputs, outputs)
 
 
 class SandboxStepper:
@@ -326,32 +334,39 @@ class SandboxStepper:
     def advance(self, stop: int) -> None:
         """See `PythonStepper`."""
         layout = self._layout
+        error = self._request_rows(stop)
+        done, station, call = self._sandbox.progress()
+        # The FMU may have written anything into the shared file.
+        self._take(min(max(done, self.done), stop))
+        is_finite = bool(np.isfinite(layout.values).all())
         failing = -1
         end = End.DONE
-        error: CallError | DiedError | None = None
-        try:
-            if not self._is_prepared:
-                self._prepare()
-            self._inputs[0].instance.request("advance", stop, stepping=True)
-        except (CallError, DiedError) as caught:
-            error = caught
-        done, station, call = self._sandbox.progress()
-        self._take(min(max(done, self.done), stop))
-        finite = bool(np.isfinite(layout.values).all())
-        if error:
+        if error is not None:
             failing = min(max(station, 0), len(layout.stations) - 1)
-            end = End(call) if call in map(int, FUNCTIONS) else End.STEP_FAILED
-        elif self.done < stop and not finite:
+            end = End.STEP_FAILED
+            if call in map(int, FUNCTIONS):
+                end = End(call)
+        elif self.done < stop and not is_finite:
             end = End.NOT_FINITE
         set_times(layout, max(self.done, 1), end, failing)
-        if finite and not error:
+        if is_finite and error is None:
             if self.done:
                 layout.require_limits(layout.values, layout.begin + (self.done - 1) * layout.step)
             if self.done < stop:
                 error = self._sandbox.end_process(INVALID_ANSWER)
-        if error:
+        if error is not None:
             instance = self._inputs[failing].instance
-            raise instance.failure(error, FUNCTIONS[end] if end else "steps") from error
+            raise instance.failure(error, FUNCTIONS.get(end, "steps")) from error
+
+    def _request_rows(self, stop: int) -> CallError | DiedError | None:
+        """Let the process step until `stop` rows are recorded; return its error, if any."""
+        try:
+            if not self._is_prepared:
+                self._prepare()
+            self._inputs[0].instance.request("advance", stop, stepping=True)
+        except (CallError, DiedError) as error:
+            return error
+        return None
 
     def _prepare(self) -> None:
         layout = self._layout

@@ -164,7 +164,9 @@ class _Host:
             names=(("", ""),) * values,
             **arrays,
         )
-        compiled = native_stepper(layout, ctypes.CDLL(library), self._progress) if library else None
+        compiled = None
+        if library:
+            compiled = native_stepper(layout, ctypes.CDLL(library), self._progress)
         self._stepper = compiled or PythonStepper(layout)
         self._stepper.begin(recorded_rows)
 

@@ -95,33 +95,29 @@ def split_reference(reference: int) -> tuple[int, int]:
 
 def _expand_arrays(model_description: Any) -> tuple[Any, list[Declared]]:
     _require_sizes(model_description.modelVariables)
-    elements = {
-        id(declared_variable): _elements(declared_variable)
-        for declared_variable in model_description.modelVariables
-    }
-    declared = [
-        (
-            declared_variable.valueReference,
-            declared_variable.name,
-            declared_variable.type,
-            _starts(declared_variable),
-        )
-        for declared_variable in model_description.modelVariables
-    ]
+    elements: dict[int, list[Any]] = {}
+    declared: list[Declared] = []
+    for variable in model_description.modelVariables:
+        elements[id(variable)] = _elements(variable)
+        declared.append((variable.valueReference, variable.name, variable.type, _starts(variable)))
 
     def all_elements(variables: Sequence[Any]) -> list[Any]:
-        return [e for declared_variable in variables for e in elements[id(declared_variable)]]
+        collected: list[Any] = []
+        for variable in variables:
+            collected += elements[id(variable)]
+        return collected
 
     def scalars(unknowns: Sequence[Any]) -> list[Any]:
-        return [
-            _replace_fields(
-                unknown,
-                variable=variable,
-                dependencies=unknown.dependencies and all_elements(unknown.dependencies),
-            )
-            for unknown in unknowns
-            for variable in elements[id(unknown.variable)]
-        ]
+        scalar_unknowns: list[Any] = []
+        for unknown in unknowns:
+            dependencies = unknown.dependencies
+            if dependencies:
+                dependencies = all_elements(dependencies)
+            scalar_unknowns += [
+                _replace_fields(unknown, variable=variable, dependencies=dependencies)
+                for variable in elements[id(unknown.variable)]
+            ]
+        return scalar_unknowns
 
     expanded = _replace_fields(
         model_description,
@@ -159,19 +155,26 @@ def _elements(variable: Any) -> list[Any]:
     kind = _TYPES.get(variable.type, variable.type)
     if not variable.dimensions:
         return [_replace_fields(variable, type=kind)]
-    starts = (variable.start or "").split()
-    return [
-        _replace_fields(
+    size = prod(variable.shape)
+    starts: list[str | None] = list((variable.start or "").split())
+    if not starts:
+        starts = [None]
+    if len(starts) == 1:  # for all elements
+        starts *= size
+    elements = []
+    for position, index in enumerate(np.ndindex(*variable.shape)):
+        numbers = ",".join(str(i + 1) for i in index)
+        element = _replace_fields(
             variable,
-            name=f"{variable.name}[{','.join(str(i + 1) for i in index)}]",
+            name=f"{variable.name}[{numbers}]",
             type=kind,
             valueReference=variable.valueReference | position << _POSITION,
-            start=starts[position if len(starts) > 1 else 0] if starts else None,
+            start=starts[position],
             dimensions=[],
             shape=(),
         )
-        for position, index in enumerate(np.ndindex(*variable.shape))
-    ]
+        elements.append(element)
+    return elements
 
 
 def _starts(variable: Any) -> list[Any]:
@@ -179,11 +182,16 @@ def _starts(variable: Any) -> list[Any]:
         return [variable.start or ""]
     size = prod(variable.shape or (1,))
     start_values = [_number(text) for text in str(variable.start or "").split()]
-    return start_values if len(start_values) == size else (start_values or [0.0])[:1] * size
+    if len(start_values) == size:
+        return start_values
+    # One value is for all elements; zero is the default.
+    return (start_values or [0.0])[:1] * size
 
 
 def _number(text: str) -> float:
-    return float(text == "true") if text in ("true", "false") else float(text)
+    if text in ("true", "false"):
+        return float(text == "true")
+    return float(text)
 
 
 def _items(variable: Any) -> dict[str, int]:
@@ -210,7 +218,9 @@ class Variables:
             return self._by_name[name]
         except KeyError:
             hint = format_suggestion(find_close_names(name, self.names))
-            end = f"; {hint}" if hint else "."
+            end = "."
+            if hint:
+                end = f"; {hint}"
             raise SimulationError(f"{self._fmu}: there is no variable '{name}'{end}") from None
 
     @property
@@ -236,9 +246,13 @@ class Variables:
     def unit(self, name: str) -> tuple[str | None, tuple[float, ...] | None]:
         """Return the unit of a variable and, if defined, its value in SI base units."""
         variable = self[name]
-        unit = variable.unit or (variable.declaredType.unit if variable.declaredType else None)
+        unit = variable.unit or None
+        if unit is None and variable.declaredType:
+            unit = variable.declaredType.unit
         base = self._units.get(unit)
-        return unit, None if base is None else tuple(getattr(base, key) for key in SI)
+        if base is None:
+            return unit, None
+        return unit, tuple(getattr(base, key) for key in SI)
 
     @property
     def inputs(self) -> list[str]:
@@ -248,8 +262,9 @@ class Variables:
     def relative(self, name: str) -> bool:
         """Return whether a variable is a difference, which the offset of a unit does not affect."""
         variable = self[name]
-        kind = variable.declaredType if variable.relativeQuantity is None else None
-        return bool(kind.relativeQuantity if kind else variable.relativeQuantity)
+        if variable.relativeQuantity is None and variable.declaredType:
+            return bool(variable.declaredType.relativeQuantity)
+        return bool(variable.relativeQuantity)
 
     @property
     def feedthrough(self) -> dict[str, list[str]]:
@@ -267,8 +282,9 @@ class Variables:
         description = self._description
         if description.modelExchange is None:
             return self.inputs
-        unknowns = (*description.outputs, *description.derivatives)
-        used_inputs = {name for unknown in unknowns for name in self._find_inputs(unknown)}
+        used_inputs: set[str] = set()
+        for unknown in (*description.outputs, *description.derivatives):
+            used_inputs |= set(self._find_inputs(unknown))
         return [name for name in self.inputs if name in used_inputs]
 
     def _find_inputs(self, unknown: Any) -> list[str]:
@@ -281,9 +297,9 @@ class Variables:
         expanded: dict[str, float | str] = {}
         for name, value in values.items():
             elements = self.elements(name)
-            parts: list[float | str] = (
-                list(value) if isinstance(value, tuple | list) else [value] * len(elements)
-            )
+            parts: list[Any] = [value] * len(elements)
+            if isinstance(value, tuple | list):
+                parts = list(value)
             if len(parts) != len(elements):
                 raise SimulationError(
                     f"{self._fmu}: '{name}' has {len(elements)} element{'s'[: len(elements) > 1]}; "
@@ -298,9 +314,9 @@ class Variables:
         kind = variable.type
         if kind in ("Binary", "Clock"):
             raise SimulationError(f"{self._fmu}: '{name}' is a {kind}, which has no start value.")
-        if kind == "String" and isinstance(value, str):
-            return value
         if isinstance(value, str):
+            if kind == "String":
+                return value
             return self._choice(name, value)
         if kind == "String" or not isinstance(value, bool | int | float | np.number):
             raise self._misfit(name, value)
@@ -311,11 +327,16 @@ class Variables:
         if isinstance(value, bool | np.bool_):
             raise self._misfit(name, value)
         if kind in _LARGEST_VALUES:
-            largest = _LARGEST_VALUES[kind]
-            if not -largest <= value <= largest:  # a NaN included
-                raise self._misfit(name, value, f"a finite number up to {largest:.4g} in magnitude")
-            return float(value)
-        return self._integer(name, float(value) if isinstance(value, np.floating) else value)
+            return self._finite(name, value, _LARGEST_VALUES[kind])
+        if isinstance(value, np.floating):
+            value = float(value)
+        return self._integer(name, value)
+
+    def _finite(self, name: str, value: Any, largest: float) -> float:
+        """Return the value of a Real or Float32, which must have a magnitude up to the largest."""
+        if not -largest <= value <= largest:  # a NaN included
+            raise self._misfit(name, value, f"a finite number up to {largest:.4g} in magnitude")
+        return float(value)
 
     def _integer(self, name: str, value: Any) -> int:
         """Return the value of an Integer or Enumeration; the range is that of its type."""
@@ -340,7 +361,9 @@ class Variables:
         variable = self[name]
         kind = self._declared_type(variable)
         value_text = sanitise(repr(value), _MAX_VALUE_LENGTH)
-        end = f"; it must be {expected}." if expected else "."
+        end = "."
+        if expected:
+            end = f"; it must be {expected}."
         return SimulationError(
             f"{self._fmu}: '{name}' is of type {kind}; it cannot be {value_text}{end}"
         )
@@ -348,10 +371,14 @@ class Variables:
     def _choice(self, name: str, value: str) -> int:
         """Return the value of a choice; an Integer may be described as "1 = fourier, 2 = sine"."""
         variable = self[name]
-        items = _BOOLEANS if variable.type == "Boolean" else _items(variable)
+        items: Mapping[str, int] = _BOOLEANS
+        if variable.type != "Boolean":
+            items = _items(variable)
         if variable.type == "Integer" and not items:
             items = {m[2]: int(m[1]) for m in _CHOICE.finditer(variable.description or "")}
         if value not in items:
-            constraint = f"it must be one of {', '.join(items)}" if items else "it has no choices"
+            constraint = "it has no choices"
+            if items:
+                constraint = f"it must be one of {', '.join(items)}"
             raise SimulationError(f"{self._fmu}: '{name}' cannot be '{value}'; {constraint}.")
         return items[value]
