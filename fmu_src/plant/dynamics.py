@@ -228,7 +228,7 @@ class _Arm:
         self.graph = Expressions()
         self.links, _ = _align_links(robot.tree)
         slopes, self.offsets = robot.follow or (np.eye(robot.n), np.zeros(robot.n))
-        self.mixing = np.eye(robot.n)
+        self.mixing: Array = np.eye(robot.n)
         coupling = robot.description.coupling
         if coupling is not None and not of_joints:
             self.mixing = np.linalg.inv(coupling.forward)

@@ -349,7 +349,7 @@ def _output_variables(
     servo_names = (variable.name for variable in servo_variables)
     all_friction = chain.from_iterable(signals.friction)
     all_sources = (*signals.load, *servo_names, *all_friction)
-    outputs = _OUTPUTS
+    outputs: tuple[tuple[str, str, str], ...] = _OUTPUTS
     if servo_variables:
         outputs = (*_OUTPUTS, *_SERVO_OUTPUTS)
     for name, unit, text in outputs:
