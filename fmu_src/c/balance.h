@@ -10,28 +10,44 @@
 #include "coupling.h"
 #include "equations.h"
 
+/* Motion of a motor [rad, rad/s, rad/s2], torques [N.m] and states of its law. */
 typedef struct {
-    double q, dq; /* of the motor */
-    double ddq, tau_f, tau_link;
+    double q;
+    double dq;
+    double ddq;
+    double tau_f;
+    double tau_link;
     double x[MAX_STATES];
 } Motion;
 
+/* What acts on a motor over an inner step. */
 typedef struct {
     const Joint *joint;
     const double *k;      /* coefficients */
     double u[MAX_INPUTS]; /* inputs of the law but speed and angle */
-    double inertia, gear, stiffness, damping;
-    double tau_motor, q_link, dq_link;
-    double clearance;         /* of the spring on either side of q_link */
-    double servo, gain, most; /* torque of a servo at speed 0, minus its slope, and its limit */
-    double h;                 /* [s] */
-    double euler;
+    double inertia;
+    double gear; /* speed of the joint over that of the motor */
+    double stiffness;
+    double damping;
+    double tau_motor;
+    double q_link;
+    double dq_link;
+    double clearance; /* of the spring on either side of q_link */
+    double servo;     /* torque of a servo at speed 0 */
+    double gain;      /* minus its slope */
+    double most;      /* its limit */
+    double h;         /* [s] */
+    double euler;     /* 1 for explicit Euler */
 } Step;
 
+/* A speed v, and what would be at the end of a step with it. */
 typedef struct {
-    double v, residual, slope;
+    double v;
+    double residual;
+    double slope;
     double size; /* scale of the residual's terms */
-    double tau_f, tau_link;
+    double tau_f;
+    double tau_link;
     double x[MAX_STATES];
 } Trial;
 
@@ -53,6 +69,7 @@ static double mixed_at(const Component *component, bool torque, int vector, int 
     return sum;
 }
 
+/* Fill the inputs u of the law at a motor's angle and speed. */
 static void see(const Step *step, double q, double dq, double *u) {
     memcpy(u, step->u, sizeof step->u);
     u[0] = step->gear * dq;
@@ -66,7 +83,9 @@ static double link_torque(const Step *step, const double *u, const double *du, d
  * 0 keeps the states. Slopes are derivatives with respect to v. */
 static void attempt(const Step *step, const Motion *from, double v, Trial *trial) {
     const double du[MAX_INPUTS] = {step->gear, step->gear * step->h};
-    double u[MAX_INPUTS], slope[MAX_OUTPUTS], torque[MAX_OUTPUTS];
+    double u[MAX_INPUTS];
+    double slope[MAX_OUTPUTS];
+    double torque[MAX_OUTPUTS];
     see(step, from->q + step->h * v, v, u);
     step->joint->attempt(step->k, u, from->x, step->h, step->euler, du, trial->x, torque, slope);
     trial->v = v;
@@ -75,6 +94,7 @@ static void attempt(const Step *step, const Motion *from, double v, Trial *trial
     trial->slope = slope[0];
 }
 
+/* Evaluate the residual of the balance [N.m] at a motor speed v, with its slope and its size. */
 static void balance(const Step *step, const Motion *from, double v, Trial *trial) {
     attempt(step, from, v, trial);
     const double rate = step->inertia / step->h;

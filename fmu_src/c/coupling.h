@@ -13,6 +13,7 @@
 /* Inputs of a joint that a coupling mixes: velocity, position and load torque. */
 enum { LOAD = 2, MIXED = 3 };
 
+/* Coefficients of a joint's law. */
 static inline const double *parameters_of(const double *v, const Joint *joint) {
     return joint->constants ? joint->constants : &v[joint->first_parameter];
 }
@@ -33,10 +34,12 @@ static inline bool is_stable(const Joint *joint, const double *rate, double step
     return true;
 }
 
+/* Coefficient of joint m in coordinate i, of a torque or of a motion. */
 static inline double share_of(bool torque, int i, int m) {
     return torque ? backward[i][m] : forward[i][m];
 }
 
+/* Input j of coordinate i, mixed from the joints. */
 static inline double input_of(const double *v, int i, int j) {
     double sum = 0.0;
     if (!COUPLED || j >= MIXED) {
@@ -48,12 +51,15 @@ static inline double input_of(const double *v, int i, int j) {
     return sum;
 }
 
+/* Add a torque of coordinate i to those of the joints in a vector of variables. */
 static inline void add_torque(double *v, int vector, int i, double torque) {
     for (int m = 0; m < JOINTS; m++) {
-        v[vector + m] += (COUPLED ? forward[i][m] : (double)(i == m)) * torque;
+        const double share = COUPLED ? forward[i][m] : (double)(i == m);
+        v[vector + m] += share * torque;
     }
 }
 
+/* Clear the torques and bands of joints, to which coordinates add theirs. */
 static inline void clear_torques(double *v) {
     for (int m = 0; COUPLED && m < JOINTS; m++) {
         v[joints[m].output[0]] = 0.0;
@@ -69,7 +75,9 @@ static inline void put_outputs(double *v, int i, const double *y) {
     for (int m = 0; COUPLED && m < JOINTS; m++) {
         v[joints[m].output[0]] += forward[i][m] * y[0];
         for (int end = 0; BAND > 0 && end < 2; end++) {
-            const double square = y[BAND + (forward[i][m] < 0.0 ? 1 - end : end)];
+            /* A negative coefficient exchanges the ends. */
+            const int source = forward[i][m] < 0.0 ? 1 - end : end;
+            const double square = y[BAND + source];
             v[joints[m].output[BAND + end]] += forward[i][m] * forward[i][m] * square;
         }
     }
@@ -86,10 +94,15 @@ static inline void put_ends(const double *v, double *to) {
     for (int m = 0; COUPLED && BAND > 0 && m < JOINTS; m++) {
         const int *output = joints[m].output;
         for (int end = 0; end < 2; end++) {
-            double *found = &to[output[BAND + end]];
+            double *limit = &to[output[BAND + end]];
             const double width = fabs(v[output[BAND + end]] - v[output[0]]);
-            const double wide = v == to ? sqrt(*found) : width > 0.0 ? *found / (2.0 * width) : 0.0;
-            *found = to[output[0]] + (end ? wide : -wide);
+            double distance = 0.0;
+            if (v == to) {
+                distance = sqrt(*limit);
+            } else if (width > 0.0) { /* derivative of the root */
+                distance = *limit / (2.0 * width);
+            }
+            *limit = to[output[0]] + (end ? distance : -distance);
         }
     }
 }

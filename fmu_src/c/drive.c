@@ -28,19 +28,21 @@
 enum { STARTED = 0 /* whether initialisation has ended */ };
 
 /* Maximum number of inner steps in a step. */
-#define MOST_PARTS 1e7
+#define MAX_PARTS 1e7
 
 /* Tolerance for a number of steps to count as whole. */
 #define ROUNDING 1e-9
 
 /* Whether Euler steps are stable for the rates of the states at a speed. */
 static bool can_relax(const Step *step, int i, const Motion *from, const Trial *at, Message *why) {
-    double u[MAX_INPUTS], rate[MAX_STATES];
+    double u[MAX_INPUTS];
+    double rate[MAX_STATES];
     see(step, from->q + step->h * at->v, at->v, u);
     step->joint->rates(step->k, u, from->x, rate);
     return is_stable(step->joint, rate, step->h, DQ + i, at->v, why);
 }
 
+/* Advance the motion of motor i by an inner step. */
 static bool advance(const Step *step, int i, Motion *motion, Message *why) {
     const Joint *joint = step->joint;
     Trial trial;
@@ -57,6 +59,7 @@ static bool advance(const Step *step, int i, Motion *motion, Message *why) {
     return true;
 }
 
+/* Motion of motor i, with the states of its law, from the variables. */
 static Motion motion_of(const Component *component, int i) {
     const Joint *joint = &joints[i];
     const double *v = component->v;
@@ -73,9 +76,12 @@ static void clear_links(Component *component) {
     memset(&component->v[TAU_LINK], 0, JOINTS * sizeof component->v[0]);
 }
 
+/* Store the motion of motor i and the states of its law in the variables. */
 static void put(Component *component, int i, const Step *step, const Motion *motion) {
     const Joint *joint = step->joint;
-    double *v = component->v, *x = &v[joint->first_state], u[MAX_INPUTS];
+    double *v = component->v;
+    double *x = &v[joint->first_state];
+    double u[MAX_INPUTS];
     v[Q + i] = motion->q;
     v[DQ + i] = motion->dq;
     v[DDQ + i] = motion->ddq;
@@ -86,6 +92,7 @@ static void put(Component *component, int i, const Step *step, const Motion *mot
     joint->solved_derivatives(step->k, u, x, x + joint->states);
 }
 
+/* Set the states of a law to their initial values. */
 static void begin(const Component *component, const Step *step, Motion *motion) {
     const Joint *joint = step->joint;
     double u[MAX_INPUTS];
@@ -103,11 +110,14 @@ static bool component_initialise(Component *component, void *workspace, Message 
         return false;
     }
     for (int i = 0; i < JOINTS; i++) {
-        const int j = INERTIA + i, s = STIFFNESS + i, d = DAMPING + i, r = RATIO + i;
-        if (!sound(v, j, v[j] > 0.0, "be positive", why) ||
-            !sound(v, s, v[s] >= 0.0, "not be negative", why) ||
-            !sound(v, d, v[d] >= 0.0, "not be negative", why) ||
-            !sound(v, r, v[r] != 0.0, "not be zero", why)) {
+        const int inertia = INERTIA + i;
+        const int stiffness = STIFFNESS + i;
+        const int damping = DAMPING + i;
+        const int ratio = RATIO + i;
+        if (!sound(v, inertia, v[inertia] > 0.0, "be positive", why) ||
+            !sound(v, stiffness, v[stiffness] >= 0.0, "not be negative", why) ||
+            !sound(v, damping, v[damping] >= 0.0, "not be negative", why) ||
+            !sound(v, ratio, v[ratio] != 0.0, "not be zero", why)) {
             return false;
         }
     }
@@ -119,7 +129,8 @@ static bool component_initialise(Component *component, void *workspace, Message 
 /* Before the first step, outputs follow start values and inputs; then they are those of the last
  * step. */
 static bool component_output(Component *component, void *workspace, Message *why) {
-    (void)workspace, (void)why;
+    (void)workspace;
+    (void)why;
     if (component->own[STARTED] == 0.0) {
         clear_links(component);
     }
@@ -144,12 +155,12 @@ static bool component_step(Component *component, void *workspace, double step, M
     bool event = false;
     Motion motion[JOINTS];
     (void)workspace;
-    if (!(parts <= MOST_PARTS)) {
+    if (!(parts <= MAX_PARTS)) {
         return deny(
             why,
             "A step of %g s would be %g inner ones; at most %g are made. Take a shorter step or "
             "a longer substep than %g s.",
-            step, parts, MOST_PARTS, component->v[SUBSTEP]);
+            step, parts, MAX_PARTS, component->v[SUBSTEP]);
     }
     for (int i = 0; i < JOINTS; i++) {
         motion[i] = motion_of(component, i);

@@ -23,12 +23,16 @@ static Step step_of(const Component *component, int i, double h, double time) {
     step.h = h;
     step.euler = v[DISCRETISATION] == EULER;
     for (int j = 2; j < joint->inputs; j++) {
-        step.u[j] = j == LOAD ? mixed_at(component, true, TAU_LOAD, i, time)
-                              : input_at(component, joint->input[j], time);
+        if (j == LOAD) {
+            step.u[j] = mixed_at(component, true, TAU_LOAD, i, time);
+        } else {
+            step.u[j] = input_at(component, joint->input[j], time);
+        }
     }
     return step;
 }
 
+/* Torque [N.m] of the flexspline; see balance.h. */
 static double link_torque(const Step *step, const double *u, const double *du, double *slope) {
     *slope += step->stiffness * du[1] + step->damping * du[0];
     return step->stiffness * (u[1] - step->q_link) + step->damping * (u[0] - step->dq_link);

@@ -26,7 +26,7 @@
 #include "plant_servo.h"
 
 /* Maximum number of inner steps in a step. */
-#define MOST_PARTS 1e7
+#define MAX_PARTS 1e7
 
 /* Longest motion of a joint in an inner step [rad or m], since M and b are those of its middle. */
 #define LONGEST_MOTION 0.01
@@ -37,20 +37,24 @@ static void mixed(const double matrix[JOINTS][JOINTS], bool transposed, const do
     for (int i = 0; COUPLED && i < JOINTS; i++) {
         to[i] = 0.0;
         for (int m = 0; m < JOINTS; m++) {
-            to[i] += (transposed ? matrix[m][i] : matrix[i][m]) * from[m];
+            const double factor = transposed ? matrix[m][i] : matrix[i][m];
+            to[i] += factor * from[m];
         }
     }
 }
 
 static void open_solver(const Component *component, double h, Solver *solver) {
-    const double *v = component->v, *own = component->own;
+    const double *v = component->v;
+    const double *own = component->own;
     for (Lanes *row = solver->mass; row < &solver->weight; row++) {
         memset(&(*row)[JOINTS], 0, (LANES - JOINTS) * sizeof **row);
     }
     for (int l = JOINTS; l < LANES; l++) {
         solver->diagonal[l] = 1.0; /* a divisor */
     }
-    solver->component = component, solver->h = h, solver->holding = false;
+    solver->component = component;
+    solver->h = h;
+    solver->holding = false;
     mixed(forward, false, &v[Q], solver->q);
     mixed(forward, false, &v[DQ], solver->v);
     mixed(forward, false, &v[DDQ], solver->a);
@@ -61,7 +65,9 @@ static void open_solver(const Component *component, double h, Solver *solver) {
         const Joint *joint = &joints[i];
         solver->middle[i] = 0.5 * (v[Q_MIN + i] + v[Q_MAX + i]);
         solver->clearance[i] = 0.5 * (v[Q_MAX + i] - v[Q_MIN + i]);
-        solver->servo[i] = solver->gain[i] = solver->most[i] = 0.0;
+        solver->servo[i] = 0.0;
+        solver->gain[i] = 0.0;
+        solver->most[i] = 0.0;
         solver->command[i] = SERVO ? own[INTEGRAL + i] : 0.0;
         solver->followed[i] = DIRECT ? own[FOLLOWED + i] : 0.0;
         for (int j = LOAD + 1; j < joint->inputs; j++) {
@@ -73,8 +79,13 @@ static void open_solver(const Component *component, double h, Solver *solver) {
     }
 }
 
+/* Store the solver's results in outputs and own memory. */
 static void store(Component *component, const Solver *solver) {
-    double *v = component->v, *own = component->own, motor[JOINTS], load[JOINTS], stop[JOINTS];
+    double *v = component->v;
+    double *own = component->own;
+    double motor[JOINTS];
+    double load[JOINTS];
+    double stop[JOINTS];
     memcpy(&own[SLOPE], solver->steep, JOINTS * sizeof *v);
     memcpy(&own[INERTIAL], solver->inertial, JOINTS * sizeof *v);
     memcpy(&own[LAST], solver->last, JOINTS * sizeof *v);
@@ -108,8 +119,10 @@ static void store(Component *component, const Solver *solver) {
     mixed(forward, true, stop, &v[TAU_STOP]);
 }
 
+/* Make an inner step of length h [s] that ends at `time` [s] after the start of the step. */
 INLINED bool try_step_inlined(Solver *solver, double time, double h, Message *why) {
-    double q[JOINTS], dq[JOINTS];
+    double q[JOINTS]; /* at the middle of the inner step */
+    double dq[JOINTS];
     solver->h = h;
     for (int i = 0; i < JOINTS; i++) {
         q[i] = solver->q[i] + 0.5 * h * solver->v[i];
@@ -137,12 +150,17 @@ INLINED bool try_step_inlined(Solver *solver, double time, double h, Message *wh
 }
 IN_WIDTHS(try_step, (Solver * solver, double time, double h, Message *why), (solver, time, h, why))
 
-/* Make an inner step of length h that ends at `time`. Two of half the length replace one without a
- * solution: the shorter the step, the more inertia dominates. */
+/* Do as `try_step`. Two inner steps of half the length replace one without a solution: the shorter
+ * the step, the more inertia dominates. */
 static bool inner_step(Solver *solver, double time, double h, int halvings, Message *why) {
-    return try_step(solver, time, h, why) ||
-           (halvings > 0 && inner_step(solver, time - 0.5 * h, 0.5 * h, halvings - 1, why) &&
-            inner_step(solver, time, 0.5 * h, halvings - 1, why));
+    if (try_step(solver, time, h, why)) {
+        return true;
+    }
+    if (halvings == 0) {
+        return false;
+    }
+    return inner_step(solver, time - 0.5 * h, 0.5 * h, halvings - 1, why) &&
+           inner_step(solver, time, 0.5 * h, halvings - 1, why);
 }
 
 /* Before the first step, outputs follow start values and inputs; then they are those of the last
@@ -166,16 +184,19 @@ static bool component_initialise(Component *component, void *workspace, Message 
         return false;
     }
     for (int i = 0; i < JOINTS; i++) {
-        const int k = STIFFNESS + i, d = DAMPING + i, most = Q_MAX + i;
-        if (!sound(v, k, v[k] >= 0.0, "not be negative", why) ||
-            !sound(v, d, v[d] >= 0.0, "not be negative", why) ||
-            !sound(v, most, v[most] >= v[Q_MIN + i], "not be below the lower limit", why)) {
+        const int stiffness = STIFFNESS + i;
+        const int damping = DAMPING + i;
+        const int upper = Q_MAX + i;
+        if (!sound(v, stiffness, v[stiffness] >= 0.0, "not be negative", why) ||
+            !sound(v, damping, v[damping] >= 0.0, "not be negative", why) ||
+            !sound(v, upper, v[upper] >= v[Q_MIN + i], "not be below the lower limit", why)) {
             return false;
         }
-        const int own[] = {
+        /* First those of every servo, then that of a position, then those of a DIRECT one. */
+        const int gains[] = {
             KV + i, KI + i, TORQUE_LIMIT + i, LATENCY, KP + i, COMMAND_FILTER + i, SPEED_LIMIT + i};
         for (int n = 0; SERVO && n < 4 + POSITION + 2 * DIRECT; n++) {
-            if (!sound(v, own[n], v[own[n]] >= 0.0, "not be negative", why)) {
+            if (!sound(v, gains[n], v[gains[n]] >= 0.0, "not be negative", why)) {
                 return false;
             }
         }
@@ -195,16 +216,16 @@ static bool component_step(Component *component, void *workspace, double step, M
     }
     const double longest = fmin(component->v[SUBSTEP], LONGEST_MOTION / fmax(fastest, TINY));
     const double parts = fmax(1.0, ceil(step / longest * (1.0 - ROUNDING)));
-    if (!(parts <= MOST_PARTS)) {
+    if (!(parts <= MAX_PARTS)) {
         return deny(
             why,
             "A step of %g s would be %g inner ones; at most %g are made. Take a shorter step "
             "or a longer substep than %g s, or look at the speeds.",
-            step, parts, MOST_PARTS, component->v[SUBSTEP]);
+            step, parts, MAX_PARTS, component->v[SUBSTEP]);
     }
     if (SERVO && !forget(component, 0.0)) {
         return deny(why, "The latency of %g s is longer than %d steps; take longer steps.",
-                    component->v[LATENCY], MOST_COMMANDS);
+                    component->v[LATENCY], MAX_COMMANDS);
     }
     adopt(component);
     Solver solver;

@@ -15,33 +15,41 @@ static void mixed(const double matrix[JOINTS][JOINTS], bool transposed, const do
 /* Gather motion, laws and limits of the axes for a step of length h. */
 static void open_solver(const Component *component, double h, Solver *solver);
 
-/* Residual of a load that counts as zero, as a share of the torques, and most iterations. */
-#define EVEN 1e-14
-enum { MOST_LOADS = 50 };
+/* Residual of a load that counts as zero, as a share of the torques, and largest number of
+ * iterations. */
+#define LOAD_TOLERANCE 1e-14
+enum { MAX_LOADS = 50 };
 
 static const double no_change[MAX_PARAMETERS + MAX_INPUTS + MAX_STATES] = {0.0};
 
-/* Set friction, stop and the derivatives dx of an axis under a load, or, in model exchange, under
- * what friction and stop leave of the torque. */
-static bool rub(Solver *solver, int i, double load, double *dx, Message *why) {
+/* Set friction, stop and the derivatives dx of an axis under a load [N.m], or, in model exchange,
+ * under what friction and stop leave of the torque. */
+static bool set_friction(Solver *solver, int i, double load, double *dx, Message *why) {
     const double torque = mixed_at(solver->component, true, TAU, i, 0.0);
     const Joint *joint = &joints[i];
-    double u[MAX_INPUTS], y[MAX_OUTPUTS], tdx[MAX_STATES], ty[MAX_OUTPUTS], unused = 0.0;
+    double u[MAX_INPUTS];
+    double y[MAX_OUTPUTS];
+    double tdx[MAX_STATES];
+    double ty[MAX_OUTPUTS];
     double along_load[MAX_INPUTS] = {0.0};
+    double unused = 0.0;
     Step step;
     Motion at;
     open_axis(solver, i, &step, &at);
     see(&step, at.q, at.dq, u);
     u[LOAD] = load;
     along_load[LOAD] = 1.0;
-    const double stop = solver->stop[i] = stop_torque(&step, u, u, &unused);
-    for (int n = 0; n < MOST_LOADS; n++) {
+    const double stop = stop_torque(&step, u, u, &unused);
+    solver->stop[i] = stop;
+    /* Friction depends on the load, and the load on friction: Newton's method. */
+    for (int n = 0; n < MAX_LOADS; n++) {
         joint->flow(step.k, u, at.x, dx, y);
         solver->input[LOAD][i] = u[LOAD];
         solver->friction[0][i] = y[0];
         const double missing = torque - y[0] - stop - u[LOAD];
         const double size = fabs(torque) + fabs(y[0]) + fabs(stop) + fabs(load);
-        if (SERVO || solver->component->continuous == 0.0 || !(fabs(missing) > EVEN * size)) {
+        const bool is_balanced = !(fabs(missing) > LOAD_TOLERANCE * size);
+        if (SERVO || solver->component->continuous == 0.0 || is_balanced) {
             return true;
         }
         joint->flow_tangent(step.k, u, at.x, no_change, along_load, no_change, tdx, ty);
@@ -54,7 +62,10 @@ static bool rub(Solver *solver, int i, double load, double *dx, Message *why) {
 
 /* Follow parameters that have changed. */
 static void adopt(Component *component) {
-    double *v = component->v, *own = component->own, u[MAX_INPUTS], c[PREPARED];
+    double *v = component->v;
+    double *own = component->own;
+    double u[MAX_INPUTS];
+    double c[PREPARED];
     if (own[STARTED] != 0.0 && component->changed == 0.0) {
         return;
     }
@@ -75,7 +86,9 @@ static void adopt(Component *component) {
  * that of the start values until initialisation ends. */
 static bool flow(Component *component, Solver *solver, Message *why) {
     const bool starting = component->own[STARTED] == 0.0;
-    double *v = component->v, rest[JOINTS], zero[JOINTS] = {0.0};
+    double *v = component->v;
+    double rest[JOINTS]; /* torque that accelerates */
+    double zero[JOINTS] = {0.0};
     if (starting) {
         memcpy(&v[Q], &v[Q_START], JOINTS * sizeof *v);
         memcpy(&v[DQ], &v[DQ_START], JOINTS * sizeof *v);
@@ -88,7 +101,8 @@ static bool flow(Component *component, Solver *solver, Message *why) {
     evaluate(solver, solver->q, solver->v);
     for (int i = 0; i < JOINTS; i++) {
         const Joint *joint = &joints[i];
-        double u[MAX_INPUTS], *dx = &v[joint->first_state + joint->states];
+        double *dx = &v[joint->first_state + joint->states];
+        double u[MAX_INPUTS];
         const double load = solver->bias[i];
         Step step;
         Motion from;
@@ -104,7 +118,7 @@ static bool flow(Component *component, Solver *solver, Message *why) {
                 solver->x[j][i] = from.x[j];
             }
         }
-        if (!rub(solver, i, load, dx, why)) {
+        if (!set_friction(solver, i, load, dx, why)) {
             return false;
         }
         solver->steep[i] = NEVER_SMOOTH;
@@ -116,7 +130,7 @@ static bool flow(Component *component, Solver *solver, Message *why) {
         }
         solver->inertial[i] = rest[i];
     }
-    if (!solved(solver, zero, rest)) {
+    if (!solve_linear(solver, zero, rest)) {
         return deny(
             why, "The mass matrix is not positive definite at this posture; check masses, inertias "
                  "and the payload.");
@@ -128,43 +142,63 @@ static bool flow(Component *component, Solver *solver, Message *why) {
 
 /* Change of the parameters of dynamics.h along `seed`. */
 static void change_table(const double *v, const double *seed, double *tp) {
-    const double *c = &v[PAYLOAD_COM], *tc = &seed[PAYLOAD_COM];
-    const double m = v[PAYLOAD_M], tm = seed[PAYLOAD_M];
-    const double moved[] = {tm * c[0] + m * tc[0], tm * c[1] + m * tc[1], tm * c[2] + m * tc[2]};
-    double load[10] = {tm, moved[0], moved[1], moved[2]}, trace = 0.0;
+    const double *c = &v[PAYLOAD_COM];
+    const double *tc = &seed[PAYLOAD_COM];
+    const double m = v[PAYLOAD_M];
+    const double tm = seed[PAYLOAD_M];
+    /* Of the first moments. */
+    const double th[] = {tm * c[0] + m * tc[0], tm * c[1] + m * tc[1], tm * c[2] + m * tc[2]};
+    double payload[10] = {tm, th[0], th[1], th[2]};
+    double trace = 0.0;
     for (int i = 0; i < 3; i++) {
-        trace += c[i] * (moved[i] + m * tc[i]);
+        trace += c[i] * (th[i] + m * tc[i]);
     }
     for (int k = 0; k < 6; k++) {
-        const int i = pair[k][0], j = pair[k][1];
-        load[4 + k] = seed[PAYLOAD_INERTIA + k] + (i == j ? trace : 0.0);
-        load[4 + k] -= moved[i] * c[j] + m * c[i] * tc[j];
+        const int i = pair[k][0];
+        const int j = pair[k][1];
+        payload[4 + k] = seed[PAYLOAD_INERTIA + k] + (i == j ? trace : 0.0);
+        payload[4 + k] -= th[i] * c[j] + m * c[i] * tc[j];
     }
-    gather(seed, load, tp);
+    gather(seed, payload, tp);
 }
 
 /* Change of the torque of stop i along `seed` and the change du of the inputs u. */
 static double change_stop(const Step *step, int i, const double *seed, const double *u,
                           const double *du) {
     const double side = u[1] < step->q_link ? -1.0 : 1.0;
-    const double to_limit[] = {du[0], du[1] - seed[side > 0.0 ? Q_MAX + i : Q_MIN + i]};
-    const double deep = side * (u[1] - step->q_link) - step->clearance;
+    const int limit = side > 0.0 ? Q_MAX + i : Q_MIN + i;
+    const double to_limit[] = {du[0], du[1] - seed[limit]};
+    const double depth = side * (u[1] - step->q_link) - step->clearance;
     double slope = 0.0;
     const bool pushes = stop_torque(step, u, to_limit, &slope) != 0.0;
-    return !pushes ? 0.0
-                   : slope + side * seed[STIFFNESS + i] * deep +
-                         seed[DAMPING + i] * fmin(1.0, deep / DEPTH) * u[0];
+    if (!pushes) {
+        return 0.0;
+    }
+    return slope + side * seed[STIFFNESS + i] * depth +
+           seed[DAMPING + i] * fmin(1.0, depth / DEPTH) * u[0];
 }
 
-/* Until initialisation ends, motion and states follow from start values, and outside of model
+/* Set the change of all variables along `seed`.
+ *
+ * Until initialisation ends, motion and states follow from start values, and outside of model
  * exchange the law's load is the bias. */
 SELDOM static void component_tangent(const Component *component, const double *seed,
                                      double *tangent) {
     const bool started = component->own[STARTED] != 0.0;
-    double tq[JOINTS], tdq[JOINTS], tp[10 * LINKS];
-    double moved[JOINTS], settled[JOINTS], rest[JOINTS], load[JOINTS], torque[JOINTS];
-    double friction[JOINTS], stop[JOINTS], slope[MAX_OUTPUTS], y[MAX_OUTPUTS];
-    double zero[JOINTS] = {0.0}, along_load[MAX_INPUTS] = {0.0};
+    double tq[JOINTS];
+    double tdq[JOINTS];
+    double tp[10 * LINKS];
+    double tbias[JOINTS]; /* of the torque at zero acceleration, and at that of the motion */
+    double tneeded[JOINTS];
+    double torque[JOINTS]; /* from here on, changes of torques */
+    double friction[JOINTS];
+    double stop[JOINTS];
+    double load[JOINTS];
+    double rest[JOINTS];
+    double slope[MAX_OUTPUTS];
+    double y[MAX_OUTPUTS];
+    double zero[JOINTS] = {0.0};
+    double along_load[MAX_INPUTS] = {0.0};
     Component at = *component;
     Solver solver;
     Message why;
@@ -180,17 +214,20 @@ SELDOM static void component_tangent(const Component *component, const double *s
     mixed(forward, false, &seed[started ? DQ : DQ_START], tdq);
     mixed(backward, false, &seed[TAU], torque);
     change_table(at.v, seed, tp);
-    torque_change(&at, seed, tp, solver.q, solver.v, zero, tq, tdq, settled);
-    torque_change(&at, seed, tp, solver.q, solver.v, solver.a, tq, tdq, moved);
+    torque_change(&at, seed, tp, solver.q, solver.v, zero, tq, tdq, tbias);
+    torque_change(&at, seed, tp, solver.q, solver.v, solver.a, tq, tdq, tneeded);
     for (int i = 0; i < JOINTS; i++) {
         Step step;
         Motion from;
         open_axis(&solver, i, &step, &from);
         const Joint *joint = step.joint;
-        const double *k = step.k, *x = from.x;
+        const double *k = step.k;
+        const double *x = from.x;
         const double *dk = joint->constants ? no_change : &seed[joint->first_parameter];
-        double u[MAX_INPUTS], du[MAX_INPUTS] = {tdq[i], tq[i], settled[i]};
-        double *tx = &tangent[joint->first_state], *tdx = tx + joint->states;
+        double *tx = &tangent[joint->first_state];
+        double *tdx = tx + joint->states;
+        double u[MAX_INPUTS];
+        double du[MAX_INPUTS] = {tdq[i], tq[i], tbias[i]};
         for (int j = LOAD + 1; j < joint->inputs; j++) {
             du[j] = seed[joint->input[j]];
         }
@@ -212,9 +249,9 @@ SELDOM static void component_tangent(const Component *component, const double *s
         joint->flow_tangent(k, u, x, dk, du, tx, tdx, y);
         friction[i] = y[0];
         load[i] = torque[i] - friction[i] - stop[i];
-        rest[i] = load[i] - moved[i];
+        rest[i] = load[i] - tneeded[i];
     }
-    solved(&solver, zero, rest);
+    solve_linear(&solver, zero, rest);
     change_tool(tangent, solver.q, tq);
     mixed(backward, true, tq, &tangent[Q]);
     mixed(backward, true, tdq, &tangent[DQ]);

@@ -12,10 +12,22 @@
 
 /* Own memory: whether initialisation has ended, slopes of G, mass matrix times acceleration, the
  * acceleration before, parameters of dynamics.h, and those of the law. A servo's follows. */
-enum { STARTED = 0, SLOPE = 1, INERTIAL = SLOPE + JOINTS, LAST = INERTIAL + JOINTS };
-enum { TABLE = LAST + JOINTS, LAW = TABLE + 10 * LINKS };
+enum {
+    STARTED = 0,
+    SLOPE = 1,
+    INERTIAL = SLOPE + JOINTS,
+    LAST = INERTIAL + JOINTS,
+    TABLE = LAST + JOINTS,
+    LAW = TABLE + 10 * LINKS
+};
 
-enum { MOST_ITERATIONS = 200, PATIENCE = 6, SWEEPING = 20, SWEEPS_ONLY = 60, HALVINGS = 12 };
+enum {
+    MAX_ITERATIONS = 200,
+    PATIENCE = 6,     /* iterations of Newton's method before the first sweep */
+    SWEEPING = 20,    /* iterations after which most are sweeps */
+    SWEEPS_ONLY = 60, /* and all */
+    HALVINGS = 12     /* of an inner step without a solution */
+};
 
 /* Residual that counts as balanced, as a share of the torques. */
 #define BALANCED 1e-10
@@ -43,47 +55,64 @@ typedef double Lanes[LANES];
 
 /* All axes; spare lanes hold finite values. */
 typedef struct {
-    Lanes mass[JOINTS], diagonal, bias;
-    Lanes q, v, a, last;                    /* motion at the start, and the acceleration before */
-    Lanes steep;                            /* slope of the last step */
-    Lanes middle, clearance;                /* of the stops */
-    Lanes applied;                          /* torque of the motor less the bias */
-    Lanes x[MAX_STATES], input[MAX_INPUTS]; /* of the laws */
-    Lanes u; /* speeds tried, with states, friction and its slope, and stops at them */
-    Lanes moved[MAX_STATES], friction[MAX_OUTPUTS], slope[MAX_OUTPUTS], stop;
-    Lanes rise[MAX_STATES];  /* of the states over the speed */
-    Lanes weight;            /* 1/2: midpoint; 1: implicit Euler */
-    Lanes inertial;          /* mass matrix times acceleration */
-    Lanes command;           /* integral of the servo's command, or of its error if it is DIRECT */
-    Lanes followed, target;  /* commands that a DIRECT servo follows, before and after the step */
-    Lanes reference;         /* their mean over the step */
-    Lanes support;           /* torque of the motor without the servo's */
-    Lanes servo, gain, most; /* torque of a servo at speed 0, minus its slope, and its limit */
+    Lanes mass[JOINTS];
+    Lanes diagonal; /* of the mass matrix */
+    Lanes bias;
+    Lanes q; /* motion at the start */
+    Lanes v;
+    Lanes a;
+    Lanes last;      /* acceleration before */
+    Lanes steep;     /* slope of the last step */
+    Lanes middle;    /* of the range between the stops */
+    Lanes clearance; /* half of this range */
+    Lanes applied;   /* torque of the motor less the bias */
+    Lanes x[MAX_STATES];
+    Lanes input[MAX_INPUTS];
+    Lanes u;                     /* speeds tried; the next five are at them */
+    Lanes moved[MAX_STATES];     /* states */
+    Lanes friction[MAX_OUTPUTS]; /* first the torque */
+    Lanes slope[MAX_OUTPUTS];    /* of these over the speed */
+    Lanes stop;                  /* torque of the stops */
+    Lanes rise[MAX_STATES];      /* of the states over the speed */
+    Lanes weight;                /* 1/2: midpoint; 1: implicit Euler */
+    Lanes inertial;              /* mass matrix times acceleration */
+    Lanes command;   /* integral of the servo's command, or of its error if it is DIRECT */
+    Lanes followed;  /* command that a DIRECT servo follows, before the step */
+    Lanes target;    /* and after it */
+    Lanes reference; /* its mean over the step */
+    Lanes support;   /* torque of the motor without the servo's */
+    Lanes servo;     /* torque of a servo at speed 0 */
+    Lanes gain;      /* minus its slope */
+    Lanes most;      /* its limit */
     const Component *component;
-    double h;
+    double h;          /* [s] */
     bool held[JOINTS]; /* whether friction holds the speed, where its law jumps */
     bool holding;      /* whether it holds any */
     bool smooth;       /* whether nothing but the law of all axes acts, and `rise` is known */
 } Solver;
 
-/* Torque of the one-sided springs beyond the clearance; they push but do not pull. */
+/* Torque [N.m] of a stop, a spring and damper beyond the clearance; it pushes but never pulls. The
+ * inputs u are speed and position, du their derivatives; the slope along du is added. */
 static double stop_torque(const Step *step, const double *u, const double *du, double *slope) {
-    const double away = u[1] - step->q_link, side = away < 0.0 ? -1.0 : 1.0;
-    const double deep = side * away - step->clearance;
-    if (!(deep > 0.0) && !isnan(deep)) {
+    const double offset = u[1] - step->q_link;
+    const double side = offset < 0.0 ? -1.0 : 1.0;
+    const double depth = side * offset - step->clearance;
+    if (depth <= 0.0) { /* NaN goes on, so that the solver sees it */
         return 0.0;
     }
-    const double share = fmin(1.0, deep / DEPTH), speed = side * u[0];
-    const double push = step->stiffness * deep + step->damping * share * speed;
-    if (push < 0.0) {
+    /* Damping grows with the depth: the torque is continuous at contact. */
+    const double share = fmin(1.0, depth / DEPTH);
+    const double closing_speed = side * u[0];
+    const double torque = step->stiffness * depth + step->damping * share * closing_speed;
+    if (torque < 0.0) {
         return 0.0;
     }
-    const double steeper = deep < DEPTH ? step->damping * speed / DEPTH : 0.0;
-    *slope += (step->stiffness + steeper) * du[1] + step->damping * share * du[0];
-    return side * push;
+    const double growth = depth < DEPTH ? step->damping * closing_speed / DEPTH : 0.0;
+    *slope += (step->stiffness + growth) * du[1] + step->damping * share * du[0];
+    return side * torque;
 }
 
-/* Torque of the servo at speed v; its slope is subtracted. */
+/* Torque [N.m] of the servo at speed v [rad/s]; its slope is subtracted. */
 static double servo_torque(const Step *step, double v, double *slope) {
     const double torque = step->servo - step->gain * v;
     if (fabs(torque) >= step->most) {
@@ -93,36 +122,42 @@ static double servo_torque(const Step *step, double v, double *slope) {
     return torque;
 }
 
+/* Torque [N.m] of stop and servo against the motion; see balance.h. */
 static double link_torque(const Step *step, const double *u, const double *du, double *slope) {
     const double stop = stop_torque(step, u, du, slope);
-    return SERVO ? stop - servo_torque(step, u[0], slope) : stop;
+    if (!SERVO) {
+        return stop;
+    }
+    return stop - servo_torque(step, u[0], slope);
 }
 
-/* Whether the law may hold axis i at rest. */
-static bool jumps(int i) {
+/* Whether the law of axis i jumps at rest, so that it may hold the axis. */
+static bool can_hold(int i) {
     return joints[i].switches_of_joint > 0;
 }
 
 /* Whether coordinate i is joint i, so that the joint's stops apply to it. */
-static bool alone(int i) {
+static bool is_joint(int i) {
     for (int m = 0; COUPLED && m < JOINTS; m++) {
-        if ((m == i) != (forward[i][m] != 0.0) || (m != i && forward[m][i] != 0.0)) {
+        const bool row = forward[i][m] != 0.0;
+        const bool column = forward[m][i] != 0.0;
+        if ((m == i) != row || (m != i && column)) {
             return false;
         }
     }
     return true;
 }
 
-/* Axis i as that of balance.h. */
+/* Describe axis i as that of balance.h, with its motion at the start of the step. */
 static void open_axis(const Solver *solver, int i, Step *step, Motion *from) {
     const Joint *joint = &joints[i];
     const double *v = solver->component->v;
-    const bool stops = alone(i);
+    const bool has_stops = is_joint(i);
     step->joint = joint;
     step->k = parameters_of(v, joint);
     step->gear = 1.0;
-    step->stiffness = stops ? v[STIFFNESS + i] : 0.0;
-    step->damping = stops ? v[DAMPING + i] : 0.0;
+    step->stiffness = has_stops ? v[STIFFNESS + i] : 0.0;
+    step->damping = has_stops ? v[DAMPING + i] : 0.0;
     step->q_link = solver->middle[i];
     step->clearance = solver->clearance[i];
     step->servo = solver->servo[i];
@@ -140,7 +175,8 @@ static void open_axis(const Solver *solver, int i, Step *step, Motion *from) {
     }
 }
 
-static void keep(Solver *solver, int i, const Trial *trial, bool held, double slope) {
+/* Store a trial of axis i, and whether friction holds its speed. */
+static void store_trial(Solver *solver, int i, const Trial *trial, bool held, double slope) {
     solver->u[i] = trial->v;
     solver->friction[0][i] = trial->tau_f;
     solver->stop[i] = trial->tau_link;
@@ -153,24 +189,27 @@ static void keep(Solver *solver, int i, const Trial *trial, bool held, double sl
     }
 }
 
+/* Evaluate friction and stop of axis i at a speed. */
 NOINLINE static void attempt_one(Solver *solver, int i, double speed, bool held) {
     Step step;
     Motion from;
     Trial trial;
     open_axis(solver, i, &step, &from);
     attempt(&step, &from, speed, &trial);
-    keep(solver, i, &trial, held, trial.slope);
+    store_trial(solver, i, &trial, held, trial.slope);
 }
 
 /* Evaluate friction and stop of every axis that is not held, at a speed. */
 INLINED void attempt_all(Solver *solver, const double *speed) {
     const Lanes *c = (const Lanes *)&solver->component->own[LAW];
-    const double h = solver->h, euler = solver->component->v[DISCRETISATION] == EULER;
-    int near = SERVO;
+    const double h = solver->h;
+    const double euler = solver->component->v[DISCRETISATION] == EULER;
+    int near = SERVO; /* whether anything but friction acts on an axis */
     bool done = false;
     if (ALIKE && !solver->holding) {
         for (int l = 0; l < LANES; l++) {
-            solver->u[l] = solver->input[0][l] = speed[l];
+            solver->u[l] = speed[l];
+            solver->input[0][l] = speed[l];
             solver->input[1][l] = solver->q[l] + h * speed[l];
             solver->stop[l] = 0.0;
             near |= !(fabs(solver->input[1][l] - solver->middle[l]) <= solver->clearance[l]);
@@ -182,7 +221,8 @@ INLINED void attempt_all(Solver *solver, const double *speed) {
     solver->smooth = done && !near;
     for (int i = 0; i < JOINTS && (near || !done); i++) {
         if (done) {
-            const double u[] = {speed[i], solver->input[1][i]}, du[] = {1.0, h};
+            const double u[] = {speed[i], solver->input[1][i]};
+            const double du[] = {1.0, h};
             Step step;
             Motion from;
             open_axis(solver, i, &step, &from);
@@ -195,7 +235,7 @@ INLINED void attempt_all(Solver *solver, const double *speed) {
 
 /* Replace `right` by the solution of (M + diag(more)) x = right, by a factorisation L D L'; rows of
  * held axes give 0. */
-INLINED bool solved(const Solver *solver, const double *more, double *right) {
+INLINED bool solve_linear(const Solver *solver, const double *more, double *right) {
     double inverse[JOINTS];
     Lanes a[JOINTS];
     memcpy(a, solver->mass, sizeof a);
@@ -237,8 +277,8 @@ INLINED bool solved(const Solver *solver, const double *more, double *right) {
     return true;
 }
 
-/* Changes of the speeds over the whole step. */
-INLINED void changes(const Solver *solver, double *change) {
+/* Compute the changes of the speeds over the whole step. */
+INLINED void compute_changes(const Solver *solver, double *change) {
     for (int l = 0; l < LANES; l++) {
         change[l] = (solver->u[l] - solver->v[l]) / solver->weight[l];
     }
@@ -247,7 +287,7 @@ INLINED void changes(const Solver *solver, double *change) {
 /* Solve the balance of each axis in turn with the speeds of the others. */
 NOINLINE static bool sweep(Solver *solver, Message *why) {
     Lanes change;
-    changes(solver, change);
+    compute_changes(solver, change);
     solver->holding = false;
     for (int i = 0; i < JOINTS; i++) {
         Step step;
@@ -264,7 +304,8 @@ NOINLINE static bool sweep(Solver *solver, Message *why) {
             return false;
         }
         /* The solver states friction that differs from the law's only if it holds. */
-        keep(solver, i, &trial, jumps(i) && trial.v == 0.0, trial.slope - step.inertia / solver->h);
+        const bool held = can_hold(i) && trial.v == 0.0;
+        store_trial(solver, i, &trial, held, trial.slope - step.inertia / solver->h);
         change[i] = (solver->u[i] - solver->v[i]) / solver->weight[i];
     }
     return true;
@@ -275,7 +316,8 @@ NOINLINE static bool sweep(Solver *solver, Message *why) {
 INLINED bool slide(Solver *solver, const double *speed, double least) {
     double bend = 0.0;
     for (int i = 0; i < JOINTS; i++) {
-        const double move = speed[i] - solver->u[i], way = fabs(solver->u[i] - solver->v[i]);
+        const double move = speed[i] - solver->u[i];
+        const double way = fabs(solver->u[i] - solver->v[i]);
         bend += fabs(solver->slope[0][i] - solver->steep[i]) * (move * move) / fmax(way, CLOSE);
     }
     if (!(solver->h * bend < STRAIGHT_SHARE * least)) {
@@ -292,20 +334,25 @@ INLINED bool slide(Solver *solver, const double *speed, double least) {
     return true;
 }
 
+/* Results of a Newton step: axes are newly held, speeds have changed, or they balance. */
 enum { WAITING, MOVED, BALANCES };
 
 /* One Newton step. If the speed of a law that jumps would pass zero, the axis is held there
  * instead, and the others wait. */
 INLINED int newton(Solver *solver, const double *residual, double least) {
-    Lanes change, more, speed;
+    Lanes change;
+    Lanes more;
+    Lanes speed;
     bool waits = false;
     for (int attempts = 0; attempts < 2; attempts++) {
         for (int l = 0; l < LANES; l++) {
-            const double slope = solver->slope[0][l];
-            more[l] = solver->h * solver->weight[l] * (attempts && slope < 0.0 ? 0.0 : slope);
+            /* Falling friction may make the matrix indefinite: the second attempt leaves it out. */
+            const bool is_left_out = attempts && solver->slope[0][l] < 0.0;
+            const double slope = is_left_out ? 0.0 : solver->slope[0][l];
+            more[l] = solver->h * solver->weight[l] * slope;
             change[l] = -residual[l];
         }
-        if (solved(solver, more, change)) {
+        if (solve_linear(solver, more, change)) {
             break;
         }
     }
@@ -315,7 +362,7 @@ INLINED int newton(Solver *solver, const double *residual, double least) {
         passes |= l < JOINTS && solver->u[l] * speed[l] <= 0.0;
     }
     for (int i = 0; i < JOINTS && passes; i++) {
-        if (jumps(i) && !solver->held[i] && solver->u[i] * speed[i] <= 0.0) {
+        if (can_hold(i) && !solver->held[i] && solver->u[i] * speed[i] <= 0.0) {
             attempt_one(solver, i, 0.0, true);
             waits = true;
         }
@@ -330,9 +377,10 @@ INLINED int newton(Solver *solver, const double *residual, double least) {
     return MOVED;
 }
 
+/* Compute the residuals [N.m.s] of all axes, see plant.c. */
 INLINED void balance_all(const Solver *solver, double *residual) {
     Lanes change;
-    changes(solver, change);
+    compute_changes(solver, change);
     for (int l = 0; l < LANES; l++) {
         const double torque = solver->friction[0][l] + solver->stop[l] - solver->applied[l];
         residual[l] = solver->h * torque;
@@ -344,12 +392,17 @@ INLINED void balance_all(const Solver *solver, double *residual) {
     }
 }
 
-/* Sum of the residuals, those of held axes if `held`, and the least that counts: a share of the
+/* Sum the residuals, those of held axes if `held`, and find the least that counts: a share of the
  * torques, and round-off. Where a servo carries all torques and nothing moves, the torques in the
  * residual vanish, but not the round-off of what cancels in them. */
-INLINED double sum_all(const Solver *solver, bool held, const double *residual, double *least) {
-    Lanes sizes, positions, floors;
-    double total = 0.0, size = 0.0, rounding = 0.0;
+INLINED double sum_residuals(const Solver *solver, bool held, const double *residual,
+                             double *least) {
+    Lanes sizes;
+    Lanes positions;
+    Lanes floors;
+    double total = 0.0;
+    double size = 0.0;
+    double rounding = 0.0;
     for (int l = 0; l < LANES; l++) {
         const double torque = fabs(solver->friction[0][l] + solver->stop[l]);
         const double grain = GRAIN * (fabs(solver->u[l]) + fabs(solver->v[l]));
@@ -367,17 +420,19 @@ INLINED double sum_all(const Solver *solver, bool held, const double *residual, 
     return total;
 }
 
+/* Iterate until the torques balance, first by Newton's method unless `sweeping`. */
 INLINED bool settle(Solver *solver, bool sweeping, Message *why) {
-    double least, before = INFINITY;
+    double least;
+    double before = INFINITY; /* sum of residuals */
     Lanes residual;
     bool waiting = false; /* for the balance with axes that were just held */
-    for (int n = 0; n < MOST_ITERATIONS; n++) {
+    for (int n = 0; n < MAX_ITERATIONS; n++) {
         const bool swept = sweeping;
         if (swept && !sweep(solver, why)) {
             return false;
         }
         balance_all(solver, residual);
-        const double total = sum_all(solver, swept, residual, &least);
+        const double total = sum_residuals(solver, swept, residual, &least);
         const bool done = total <= least;
         if (!isfinite(total)) {
             break;
@@ -386,9 +441,10 @@ INLINED bool settle(Solver *solver, bool sweeping, Message *why) {
             return true;
         }
         const bool slow = n > 1 && !swept && total > 0.5 * before;
+        const bool impatient = n >= PATIENCE && !swept && !waiting;
+        const bool mostly_sweeps = n >= SWEEPING && (n % 4 != 0 || n >= SWEEPS_ONLY);
         before = swept ? INFINITY : total;
-        sweeping = slow || done || (n >= PATIENCE && !swept && !waiting) ||
-                   (n >= SWEEPING && (n % 4 != 0 || n >= SWEEPS_ONLY));
+        sweeping = slow || done || impatient || mostly_sweeps;
         const int end = sweeping ? WAITING : newton(solver, residual, least);
         if (end == BALANCES) {
             return true;
@@ -410,7 +466,9 @@ INLINED bool predict(Solver *solver) {
     int turns = 0;
     Lanes first;
     for (int l = 0; l < LANES; l++) {
-        const double v = solver->v[l], constant = h * solver->a[l], next = v + constant;
+        const double v = solver->v[l];
+        const double constant = h * solver->a[l]; /* change at a constant acceleration */
+        const double next = v + constant;
         /* TINY: compilers may read 0 where only the other branch of `weight` is needed. */
         const double z = h * solver->steep[l] / (solver->diagonal[l] + TINY);
         const double weight = v * next > 0.0 ? 1.0 - 0.5 / (1.0 + z * z) : 1.0;
@@ -423,8 +481,9 @@ INLINED bool predict(Solver *solver) {
     solver->holding = false;
     for (int i = 0; i < JOINTS && turns; i++) {
         const double v = solver->v[i];
-        first[i] = jumps(i) && v * (v + h * solver->a[i]) <= 0.0 ? v : first[i];
-        at_rest |= jumps(i) && first[i] == 0.0;
+        const bool turns_here = can_hold(i) && v * (v + h * solver->a[i]) <= 0.0;
+        first[i] = turns_here ? v : first[i];
+        at_rest |= can_hold(i) && first[i] == 0.0;
     }
     attempt_all(solver, first);
     return at_rest;
@@ -433,19 +492,20 @@ INLINED bool predict(Solver *solver) {
 /* Advance the axes' motions by a step, with mass matrix, applied torques and loads given. */
 INLINED bool advance(Solver *solver, Message *why) {
     const double h = solver->h;
-    int again = 1, sweeping = predict(solver);
+    int sweeping = predict(solver);
+    int again = 1; /* whether a speed has reversed, so that its axis needs implicit Euler */
     Lanes change;
     while (again) {
         if (!settle(solver, sweeping, why)) {
             return false;
         }
         again = 0;
-        changes(solver, change);
+        compute_changes(solver, change);
         for (int l = 0; l < LANES; l++) {
             const double v = solver->v[l];
-            const int turned = solver->weight[l] < 1.0 && v * (v + change[l]) <= 0.0;
-            solver->weight[l] = turned ? 1.0 : solver->weight[l];
-            again |= turned;
+            const int reversed = solver->weight[l] < 1.0 && v * (v + change[l]) <= 0.0;
+            solver->weight[l] = reversed ? 1.0 : solver->weight[l];
+            again |= reversed;
         }
     }
     memcpy(solver->last, solver->a, sizeof solver->a);

@@ -18,6 +18,7 @@ enum { MOST_TRIALS = 200, PIECES = 16 };
 /* Largest relative deviation of the residual from a straight line over a stride. */
 #define STRAIGHT 0.1
 
+/* Whether a residual is nothing but the rounding of its terms or of the speed. */
 static bool balanced(const Trial *trial) {
     const double grain = 4.0 * DBL_EPSILON * trial->size;
     const double step = 2.0 * DBL_EPSILON * fabs(trial->v);
@@ -27,7 +28,8 @@ static bool balanced(const Trial *trial) {
 /* Bracket of the root: `near` has the sign of the residual at the start, `far` the opposite, or is
  * NaN. */
 typedef struct {
-    double near, far;
+    double near;
+    double far;
     double outward; /* 1 or -1 */
     double stride;  /* longest stride if Newton's is unusable */
     double before;  /* size of the residual at the previous trial */
@@ -35,11 +37,15 @@ typedef struct {
 
 /* A stride outwards stops just before and just after zero, to detect jumps there. */
 static double seeing_zero(const Search *search, double next) {
-    const double from = search->outward * search->near, to = search->outward * next;
+    const double from = search->outward * search->near;
+    const double to = search->outward * next;
     if (from < -BESIDE_ZERO && to > -BESIDE_ZERO) {
         return -search->outward * BESIDE_ZERO;
     }
-    return fabs(from) <= BESIDE_ZERO && from < BESIDE_ZERO ? search->outward * BESIDE_ZERO : next;
+    if (fabs(from) <= BESIDE_ZERO && from < BESIDE_ZERO) {
+        return search->outward * BESIDE_ZERO;
+    }
+    return next;
 }
 
 /* Newton's next speed if it stays in the bracket and makes progress, else a bisection or a
@@ -79,9 +85,12 @@ static bool bent(const Trial *start, const Trial *end) {
 /* Repeat the way from `start` to `end` in pieces up to the first root. Between pieces the residual
  * may touch zero where its slope changes sign. */
 static void retrace(const Step *step, const Motion *from, Search *search, Trial start, Trial *end) {
-    const double to = end->v, piece = (to - start.v) / PIECES, outward = search->outward;
+    const double to = end->v;
+    const double piece = (to - start.v) / PIECES;
+    const double outward = search->outward;
     for (int n = 1; n <= PIECES; n++) {
-        balance(step, from, n < PIECES ? to - (PIECES - n) * piece : to, end);
+        const double speed = n < PIECES ? to - (PIECES - n) * piece : to;
+        balance(step, from, speed, end);
         if (outward * end->residual > 0.0) {
             return;
         }
@@ -99,6 +108,7 @@ static void retrace(const Step *step, const Motion *from, Search *search, Trial 
     }
 }
 
+/* Find the balance at the end of a step from a motion; `name` is that of the speed's variable. */
 static bool solve(const Step *step, const Motion *from, Trial *trial, const char *name,
                   Message *why) {
     const bool jumps = step->joint->switches_of_joint > 0;

@@ -96,7 +96,7 @@ int main(void) {
                 }
             }
         }
-        if (!solved(&solver, more, change)) {
+        if (!solve_linear(&solver, more, change)) {
             return 1;
         }
         for (int i = 0; i < JOINTS; i++) {
