@@ -48,12 +48,14 @@
 /* Added to a number below 2^51, leaves the nearest integer in the last bits. */
 #define TO_INTEGER 0x1.8p52
 
+/* The bits of a number. */
 static inline uint64_t bits_of(double x) {
     uint64_t bits;
     memcpy(&bits, &x, sizeof bits);
     return bits;
 }
 
+/* The number with these bits. */
 static inline double of_bits(uint64_t bits) {
     double x;
     memcpy(&x, &bits, sizeof x);
@@ -72,7 +74,8 @@ static inline double reduced(double x, double k) {
 
 /* 2 (exp(r) - 1) + more for |r| <= ln(2) / 2, to 4e-17, in pairs of terms for parallelism. */
 static inline double twice_short(double r, double more) {
-    const double z = r * r, y = z * z;
+    const double z = r * r;
+    const double y = z * z;
     const double q0 = 1.0000000000000002 + r * 0.33333333333333337;
     const double q2 = 0.08333333333324798 + r * 0.016666666666660102;
     const double q4 = 0.0027777777834563588 + r * 0.00039682539726211937;
@@ -85,11 +88,13 @@ static inline double twice_short(double r, double more) {
  * denormals are slow. */
 static inline double even_exp(double x) {
     const bool vanishes = x < -746.0;
-    const double above = vanishes ? -700.0 : x, inside = above > 710.0 ? 710.0 : above;
+    const double above = vanishes ? -700.0 : x;
+    const double inside = above > 710.0 ? 710.0 : above;
     const double shifted = inside * 0x1.71547652b82fep+0 + TO_INTEGER;
     const double e = twice_short(reduced(inside, shifted - TO_INTEGER), 2.0);
     /* 2^k as the product of two powers, because one may overflow or underflow. */
-    const uint64_t n = (bits_of(shifted) + 2047) & 4095, part = n / 2;
+    const uint64_t n = (bits_of(shifted) + 2047) & 4095;
+    const uint64_t part = n / 2;
     const double half = power_of_two(part - 1024) * power_of_two(n - part - 1024);
     return vanishes ? 0.0 : e * half;
 }
@@ -120,18 +125,22 @@ QUICK double quick_expm1(double x) {
     return x < -60.0 ? -1.0 : even_expm1(x);
 }
 
+/* tanh(x) from exp(-2 |x|) - 1. */
 static inline double tanh_of(double expm1, double x) {
     return copysign(-expm1 / (expm1 + 2.0), x);
 }
 
+/* tanh(x) without branches. */
 static inline double even_tanh(double x) {
     return tanh_of(even_expm1(-2.0 * fabs(x)), x);
 }
 
+/* For single numbers: the same bits, faster if saturated. */
 IN_ONE_PLACE double quick_tanh(double x) {
     return tanh_of(quick_expm1(-2.0 * fabs(x)), x);
 }
 
+/* The integer nearest to x, for |x| < 2^51. */
 static inline double nearest(double x) {
     return (x + TO_INTEGER) - TO_INTEGER;
 }
@@ -145,26 +154,31 @@ static inline double even_turn(double x, double *cosine) {
     const double n = nearest(x * 0x1.45f306dc9c883p-1);
     const double r = ((x - n * 0x1.921fb544p+0) - n * 0x1.0b4611a6p-34) - n * 0x1.3198a2e037073p-69;
     const double z = r * r;
-    const double y = z * z, w = y * y;
+    const double y = z * z;
+    const double w = y * y;
     const double o1 = -1.0 / 6.0 + z * (1.0 / 120.0);
     const double o3 = -1.0 / 5040.0 + z * (1.0 / 362880.0);
     const double o5 = -1.0 / 39916800.0 + z * (1.0 / 6227020800.0);
     const double odd = r + r * z * ((o1 + y * o3) + w * (o5 + y * (-1.0 / 1307674368000.0)));
-    const double e1 = -0.5 + z * (1.0 / 24.0), e3 = -1.0 / 720.0 + z * (1.0 / 40320.0);
+    const double e1 = -0.5 + z * (1.0 / 24.0);
+    const double e3 = -1.0 / 720.0 + z * (1.0 / 40320.0);
     const double e5 = -1.0 / 3628800.0 + z * (1.0 / 479001600.0);
     const double e7 = -1.0 / 87178291200.0 + z * (1.0 / 20922789888000.0);
     const double even = 1.0 + z * ((e1 + y * e3) + w * (e5 + y * e7));
     const uint64_t quadrant = bits_of(n + TO_INTEGER);
-    const double s = quadrant & 1 ? even : odd, c = quadrant & 1 ? odd : even;
+    const double s = quadrant & 1 ? even : odd;
+    const double c = quadrant & 1 ? odd : even;
     *cosine = (quadrant + 1) & 2 ? -c : c;
     return quadrant & 2 ? -s : s;
 }
 
+/* sin(x) for |x| <= LARGEST_ANGLE. */
 static inline double even_sin(double x) {
     double unused;
     return even_turn(x, &unused);
 }
 
+/* cos(x) for |x| <= LARGEST_ANGLE. */
 static inline double even_cos(double x) {
     double cosine;
     even_turn(x, &cosine);
@@ -178,6 +192,7 @@ static inline double even_cos(double x) {
 /* Added to a non-negative divisor to avoid division by zero. */
 #define TINY 1e-300
 
+/* 1, 0 or -1; 0 if x is NaN. */
 static inline double sgn(double x) {
     return (x > 0.0 ? 1.0 : 0.0) - (x < 0.0 ? 1.0 : 0.0);
 }
@@ -195,6 +210,7 @@ static inline double positive(double x) {
     return x > 0.0 ? x : 0.0;
 }
 
+/* 1 if a > b, else 0. */
 static inline double exceeds(double a, double b) {
     return a > b ? 1.0 : 0.0;
 }
@@ -227,6 +243,7 @@ static inline double decay(double z, double euler) {
     return euler > 0.0 ? -z : even_expm1(-z);
 }
 
+/* For single numbers: the same bits, faster if saturated. */
 static inline double quick_decay(double z, double euler) {
     return euler > 0.0 ? -z : quick_expm1(-z);
 }
@@ -246,7 +263,8 @@ static inline double share(double z, double e, double euler) {
 /* Derivative of share with respect to z. */
 static inline double share_slope(double z, double e, double euler) {
     const bool small = fabs(z) < SERIES_BELOW;
-    const double y = z * z, divisor = z + TINY;
+    const double y = z * z;
+    const double divisor = z + TINY;
     const double series =
         (-0.5 + z * (1.0 / 3.0)) - y * ((1.0 / 8.0 - z * (1.0 / 30.0)) + y * (1.0 / 144.0));
     if (euler > 0.0) {
@@ -257,26 +275,30 @@ static inline double share_slope(double z, double e, double euler) {
 
 /* sin(x) / x, continued by 1 at 0, from x and its sine. */
 static inline double cardinal(double x, double sine_of_x) {
-    const double z = x * x, series = 1.0 - z * (1.0 / 6.0) * (1.0 - z * (1.0 / 20.0));
+    const double z = x * x;
+    const double series = 1.0 - z * (1.0 / 6.0) * (1.0 - z * (1.0 / 20.0));
     const double quotient = sine_of_x / not_zero(x);
     return fabs(x) < SERIES_BELOW ? series : quotient;
 }
 
+/* sin(x) / x for |x| <= LARGEST_ANGLE. */
 static inline double even_cardinal_sine(double x) {
     return cardinal(x, even_sin(x));
 }
 
 #ifndef WITHOUT_LIBRARY
 
-/* Beyond LARGEST_ANGLE range reduction is inexact: use libm. */
+/* sin(x). Beyond LARGEST_ANGLE range reduction is inexact: use libm. */
 static inline double sine(double x) {
     return fabs(x) <= LARGEST_ANGLE ? even_sin(x) : sin(x);
 }
 
+/* cos(x), as `sine`. */
 static inline double cosine(double x) {
     return fabs(x) <= LARGEST_ANGLE ? even_cos(x) : cos(x);
 }
 
+/* sin(x) / x of any x. */
 static inline double cardinal_sine(double x) {
     return cardinal(x, sine(x));
 }
