@@ -32,8 +32,9 @@ enum {
 #define ROUNDING 1e-6
 
 /* Maximum number of samples in a step. */
-#define MOST_SAMPLES 1e7
+#define MAX_SAMPLES 1e7
 
+/* Arguments of a joint's functions. */
 typedef struct {
     const Joint *joint;
     const double *k; /* parameters */
@@ -41,6 +42,7 @@ typedef struct {
     double u[MAX_INPUTS];
 } Place;
 
+/* Arguments of joint i's functions at the current inputs. */
 static Place place_of(const Component *component, int i) {
     const Joint *joint = &joints[i];
     const double *v = component->v;
@@ -67,6 +69,7 @@ PLACE_OF(previous_of, own[PREVIOUS + i * MAX_REMEMBERED])
 PLACE_OF(latest_of, own[LATEST + i * MAX_REMEMBERED])
 PLACE_OF(invariants_of, own[INVARIANTS + i * MAX_INVARIANTS])
 
+/* Whether the states of a joint begin in the steady state of the first inputs. */
 static bool begins_steady(const Component *component, const Joint *joint) {
     return joint->states > 0 && START_MODE >= 0 && component->v[START_MODE] == STEADY;
 }
@@ -75,7 +78,8 @@ static bool begins_steady(const Component *component, const Joint *joint) {
 static void start(Component *component, int i) {
     const Place at = place_of(component, i);
     const Joint *joint = at.joint;
-    double y[MAX_OUTPUTS], *x = states_of(component, i);
+    double y[MAX_OUTPUTS];
+    double *x = states_of(component, i);
     memcpy(x, &component->v[joint->first_start], (size_t)joint->states * sizeof *x);
     if (begins_steady(component, joint)) {
         joint->begin(at.k, at.u, x);
@@ -89,7 +93,8 @@ static void start(Component *component, int i) {
 }
 
 static bool component_output(Component *component, void *workspace, Message *why) {
-    (void)workspace, (void)why; /* the glue checks for infinite outputs */
+    (void)workspace;
+    (void)why; /* the glue checks for infinite outputs */
     const bool started = component->own[STARTED] > 0.0;
     if (started && (HOLDS || component->own[TICKS] < 0.0)) {
         return true;
@@ -101,7 +106,9 @@ static bool component_output(Component *component, void *workspace, Message *why
             continue;
         }
         const Place at = place_of(component, i);
-        double y[MAX_OUTPUTS], r[MAX_REMEMBERED + 1], *x = states_of(component, i);
+        double y[MAX_OUTPUTS];
+        double r[MAX_REMEMBERED + 1];
+        double *x = states_of(component, i);
         at.joint->read(at.k, at.u, at.s, x, previous_of(component, i), component->own[LAST_STEP],
                        x + at.joint->states, y, r);
         put_outputs(component->v, i, y);
@@ -126,6 +133,7 @@ static bool component_initialise(Component *component, void *workspace, Message 
     return true;
 }
 
+/* Whether a step [s] of Euler's method is stable for the states of all joints. */
 static bool can_relax(const Component *component, double step, Message *why) {
     for (int i = 0; i < JOINTS; i++) {
         const Place at = place_of(component, i);
@@ -138,7 +146,9 @@ static bool can_relax(const Component *component, double step, Message *why) {
     return true;
 }
 
-/* Non-finite invariants are not stored, because they could not be saved. */
+/* Compute terms that depend only on parameters and the length of a step [s].
+ *
+ * Non-finite invariants are not stored, because they could not be saved. */
 SELDOM static void update_invariants(Component *component, double step, double euler) {
     double *own = component->own;
     bool finite = true;
@@ -157,7 +167,8 @@ SELDOM static void update_invariants(Component *component, double step, double e
 
 /* Outputs of a joint after a step, when component_output does not compute its derivatives later. */
 QUICK void put_sample(Component *component, int i, double step, double *y) {
-    double r[MAX_REMEMBERED + 1], *x = states_of(component, i);
+    double r[MAX_REMEMBERED + 1];
+    double *x = states_of(component, i);
     if (HOLDS != 0 || SAMPLED != 0) {
         joints[i].read(parameters_of(component->v, &joints[i]), inputs_before(component, i),
                        signs_of(component, i), x, previous_of(component, i), step,
@@ -172,7 +183,7 @@ QUICK void put_sample(Component *component, int i, double step, double *y) {
         x[j] = moved[j][i];                                                                        \
     }                                                                                              \
     for (int j = 0; j < joints[i].outputs; j++) {                                                  \
-        y[j] = found[j][i];                                                                        \
+        y[j] = outputs[j][i];                                                                      \
     }
 #else
 #define ADVANCE(i, step_of)                                                                        \
@@ -184,7 +195,9 @@ QUICK void put_sample(Component *component, int i, double step, double *y) {
 /* Step of joint i, with its functions known to the compiler. */
 #define STEP(i, step_of, switches_of, gather)                                                      \
     {                                                                                              \
-        double *u = inputs_before(component, i), *x = states_of(component, i), y[MAX_OUTPUTS];     \
+        double *u = inputs_before(component, i);                                                   \
+        double *x = states_of(component, i);                                                       \
+        double y[MAX_OUTPUTS];                                                                     \
         gather;                                                                                    \
         memcpy(previous_of(component, i), latest_of(component, i),                                 \
                (size_t)joints[i].remembered * sizeof(double));                                     \
@@ -193,6 +206,7 @@ QUICK void put_sample(Component *component, int i, double step, double *y) {
         put_sample(component, i, step, y);                                                         \
     }
 
+/* Advance all joints by a step [s] and store their outputs. */
 static void sample(Component *component, double step) {
     double *own = component->own;
     const double *v = component->v;
@@ -203,10 +217,11 @@ static void sample(Component *component, double step) {
     own[LAST_STEP] = step;
     clear_torques(component->v);
 #ifdef TOGETHER
-    double moved[MAX_STATES][LANES], found[MAX_OUTPUTS][LANES];
-    TOGETHER(v, &own[INVARIANTS], step, euler, moved, found);
+    double moved[MAX_STATES][LANES];
+    double outputs[MAX_OUTPUTS][LANES];
+    TOGETHER(v, &own[INVARIANTS], step, euler, moved, outputs);
     KEEP_LANES(moved);
-    KEEP_LANES(found);
+    KEEP_LANES(outputs);
 #endif
     EACH_JOINT(STEP)
     put_ends(component->v, component->v);
@@ -215,14 +230,16 @@ static void sample(Component *component, double step) {
     }
 }
 
-static bool samples(Component *component, double step, Message *why) {
+/* Take the samples within a step [s]. */
+static bool take_samples(Component *component, double step, Message *why) {
     double *own = component->own;
     const double time = component->v[SAMPLE_TIME_PLACE];
     const double at = (component->time + step - own[BEGIN]) / time;
-    const double whole = floor(at + ROUNDING), done = floor(fabs(own[TICKS]));
-    if (!(whole - done <= MOST_SAMPLES)) {
+    const double whole = floor(at + ROUNDING);
+    const double done = floor(fabs(own[TICKS]));
+    if (!(whole - done <= MAX_SAMPLES)) {
         return deny(why, "A step of %g s would be %g samples of %g s; at most %g are taken.", step,
-                    whole - done, time, MOST_SAMPLES);
+                    whole - done, time, MAX_SAMPLES);
     }
     for (double n = done; n < whole; n++) {
         sample(component, time);
@@ -235,7 +252,7 @@ static bool samples(Component *component, double step, Message *why) {
 static bool component_step(Component *component, void *workspace, double step, Message *why) {
     (void)workspace;
     if (SAMPLED) {
-        return samples(component, step, why);
+        return take_samples(component, step, why);
     }
     if (DISCRETISATION >= 0 && component->v[DISCRETISATION] == EULER &&
         !can_relax(component, step, why)) {
@@ -253,10 +270,14 @@ static const double no_change[MAX_PARAMETERS] = {0.0};
 static double slope_of_step(const Component *component, int i) {
     const Place at = place_of(component, i);
     const Joint *joint = at.joint;
-    const double step = component->own[LAST_STEP], *x = &component->v[joint->first_state];
+    const double step = component->own[LAST_STEP];
+    const double *x = &component->v[joint->first_state];
     const double euler = DISCRETISATION >= 0 && component->v[DISCRETISATION] == EULER;
     const double du[MAX_INPUTS] = {1.0};
-    double tx[MAX_STATES] = {0.0}, tdx[MAX_STATES], ty[MAX_OUTPUTS], s[MAX_SWITCHES];
+    double tx[MAX_STATES] = {0.0};
+    double tdx[MAX_STATES];
+    double ty[MAX_OUTPUTS];
+    double s[MAX_SWITCHES];
     if (step > 0.0) {
         /* With input slopes, a sign may have changed since. */
         const double *used = &component->own[USED + i * MAX_INPUTS];
@@ -306,7 +327,8 @@ QUICK bool hold(Component *component, int i, double rest, const double *z, Messa
 
 #define HOLD(i, step_of, switches_of, gather)                                                      \
     if (joints[i].switches_of_joint > 0) {                                                         \
-        double u[MAX_INPUTS], z[MAX_SWITCHES];                                                     \
+        double u[MAX_INPUTS];                                                                      \
+        double z[MAX_SWITCHES];                                                                    \
         gather;                                                                                    \
         switches_of(parameters_of(component->v, &joints[i]), u, z);                                \
         changed |= hold(component, i, rest, z, what);                                              \
@@ -319,6 +341,7 @@ static bool component_event(Component *component, double rest, Message *what) {
     return changed;
 }
 
+/* Store the event indicators; return whether all held signs agree with the inputs. */
 static bool component_indicators(const Component *component, double rest, double *indicator) {
     bool agree = true;
     for (int i = 0; i < JOINTS; i++) {
@@ -345,7 +368,9 @@ SELDOM static void component_tangent(const Component *component, const double *s
         const int state = joint->first_state;
         const double *dk = joint->constants ? no_change : &seed[joint->first_parameter];
         const bool started = component->own[STARTED] > 0.0;
-        double du[MAX_INPUTS], ty[MAX_OUTPUTS], tx[MAX_STATES];
+        double du[MAX_INPUTS];
+        double ty[MAX_OUTPUTS];
+        double tx[MAX_STATES];
         for (int j = 0; j < joint->inputs; j++) {
             du[j] = input_of(seed, i, j);
         }

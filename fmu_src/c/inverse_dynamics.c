@@ -10,9 +10,12 @@
 #include "tree.h"
 
 typedef struct {
-    double x, y, z;
+    double x;
+    double y;
+    double z;
 } Vector;
 
+/* Three numbers as a vector. */
 static Vector vector(const double *v) {
     return (Vector){v[0], v[1], v[2]};
 }
@@ -21,7 +24,7 @@ static Vector sum(Vector a, Vector b) {
     return (Vector){a.x + b.x, a.y + b.y, a.z + b.z};
 }
 
-static Vector scaled(double s, Vector a) {
+static Vector scale(double s, Vector a) {
     return (Vector){s * a.x, s * a.y, s * a.z};
 }
 
@@ -33,48 +36,57 @@ static Vector cross(Vector a, Vector b) {
     return (Vector){a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
 
-/* Rotate a vector about a unit axis (Rodrigues' formula). */
-static Vector turned(Vector axis, double c, double s, Vector a) {
-    return sum(sum(scaled(c, a), scaled(s, cross(axis, a))),
-               scaled((1.0 - c) * dot(axis, a), axis));
+/* Rotate a vector about a unit axis by an angle with cosine c and sine s (Rodrigues' formula). */
+static Vector rotate(Vector axis, double c, double s, Vector a) {
+    return sum(sum(scale(c, a), scale(s, cross(axis, a))), scale((1.0 - c) * dot(axis, a), axis));
 }
 
+/* Product of a matrix (3, 3) and a vector. */
 static Vector times(const double *m, Vector a) {
     return (Vector){dot(vector(m), a), dot(vector(m + 3), a), dot(vector(m + 6), a)};
 }
 
+/* Product of the transpose of a matrix (3, 3) and a vector. */
 static Vector times_transposed(const double *m, Vector a) {
-    return sum(sum(scaled(a.x, vector(m)), scaled(a.y, vector(m + 3))), scaled(a.z, vector(m + 6)));
+    return sum(sum(scale(a.x, vector(m)), scale(a.y, vector(m + 3))), scale(a.z, vector(m + 6)));
 }
 
+/* Motion of a link, force and moment on it, in its frame. */
 typedef struct {
-    double cosine, sine; /* of the joint angle */
+    double cosine; /* of the joint angle */
+    double sine;
     Vector position;     /* in the parent frame */
-    Vector speed, turn, acceleration, force, moment;
+    Vector speed;        /* angular velocity */
+    Vector turn;         /* angular acceleration */
+    Vector acceleration; /* less that of gravity */
+    Vector force;
+    Vector moment;
 } Link;
 
+/* A vector of a link's frame in that of its parent. */
 static Vector to_parent(const Joint *joint, const Link *link, Vector a) {
-    return times(joint->rotation, turned(vector(joint->axis), link->cosine, link->sine, a));
+    return times(joint->rotation, rotate(vector(joint->axis), link->cosine, link->sine, a));
 }
 
+/* A vector of the parent's frame in that of the link. */
 static Vector from_parent(const Joint *joint, const Link *link, Vector a) {
-    return turned(vector(joint->axis), link->cosine, -link->sine,
+    return rotate(vector(joint->axis), link->cosine, -link->sine,
                   times_transposed(joint->rotation, a));
 }
 
-/* Force and moment of a link's own motion. Its parameters are the mass, the first moments and the
- * inertia xx, xy, yy, xz, yz, zz about its frame. */
-static void own_needs(Link *link, const double *p) {
+/* Set force and moment of a link's own motion. Its parameters are the mass, the first moments and
+ * the inertia xx, xy, yy, xz, yz, zz about its frame. */
+static void set_force(Link *link, const double *p) {
     const double inertia[] = {p[4], p[5], p[7], p[5], p[6], p[8], p[7], p[8], p[9]};
     const Vector moments = vector(p + 1), w = link->speed;
-    link->force = sum(scaled(p[0], link->acceleration),
+    link->force = sum(scale(p[0], link->acceleration),
                       sum(cross(link->turn, moments), cross(w, cross(w, moments))));
     link->moment = sum(sum(times(inertia, link->turn), cross(w, times(inertia, w))),
                        cross(moments, link->acceleration));
 }
 
 /* Motion of a link's joint, from that of the robot's joints. */
-static double followed(const double *motion, int i) {
+static double joint_motion(const double *motion, int i) {
     double sum_of_leaders = 0.0;
     for (int j = 0; j < JOINTS; j++) {
         sum_of_leaders += slopes[i][j] * motion[j];
@@ -82,34 +94,38 @@ static double followed(const double *motion, int i) {
     return FOLLOW ? sum_of_leaders : motion[i];
 }
 
+/* Set the motion of link i from that of its parent, and its own force and moment. */
 static void move_link(const double *v, int i, Link *links) {
     static const Link base = {.acceleration = {-GRAVITY_X, -GRAVITY_Y, -GRAVITY_Z}};
     const Joint *joint = &joints[i];
     const Link *parent = joint->parent < 0 ? &base : &links[joint->parent];
     const Vector axis = vector(joint->axis);
-    const double q = followed(&v[POSITION], i) + (FOLLOW ? offsets[i] : 0.0);
-    const double dq = followed(&v[VELOCITY], i), ddq = followed(&v[ACCELERATION], i);
+    const double offset = FOLLOW ? offsets[i] : 0.0;
+    const double q = joint_motion(&v[POSITION], i) + offset;
+    const double dq = joint_motion(&v[VELOCITY], i);
+    const double ddq = joint_motion(&v[ACCELERATION], i);
     Link *link = &links[i];
     link->cosine = joint->prismatic ? 1.0 : cos(q);
     link->sine = joint->prismatic ? 0.0 : sin(q);
     link->position = vector(joint->translation);
     if (joint->prismatic) {
-        link->position = sum(link->position, times(joint->rotation, scaled(q, axis)));
+        link->position = sum(link->position, times(joint->rotation, scale(q, axis)));
     }
-    const Vector w = parent->speed, arm = link->position;
+    const Vector w = parent->speed;
+    const Vector arm = link->position;
     const Vector carried =
         sum(parent->acceleration, sum(cross(parent->turn, arm), cross(w, cross(w, arm))));
     link->speed = from_parent(joint, link, w);
     link->turn = from_parent(joint, link, parent->turn);
     link->acceleration = from_parent(joint, link, carried);
     if (joint->prismatic) {
-        link->acceleration = sum(
-            link->acceleration, sum(scaled(ddq, axis), scaled(2.0 * dq, cross(link->speed, axis))));
+        link->acceleration = sum(link->acceleration,
+                                 sum(scale(ddq, axis), scale(2.0 * dq, cross(link->speed, axis))));
     } else {
-        link->turn = sum(link->turn, sum(scaled(ddq, axis), scaled(dq, cross(link->speed, axis))));
-        link->speed = sum(link->speed, scaled(dq, axis));
+        link->turn = sum(link->turn, sum(scale(ddq, axis), scale(dq, cross(link->speed, axis))));
+        link->speed = sum(link->speed, scale(dq, axis));
     }
-    own_needs(link, &v[PARAMETERS + 10 * i]);
+    set_force(link, &v[PARAMETERS + 10 * i]);
 }
 
 /* Torque of the rotors on joint i; if COUPLED, motors turn with several joints. */
@@ -133,17 +149,21 @@ static double springs_on(const double *v, int i) {
     double torque = 0.0;
     for (int k = 0; k < TERMS; k++) {
         const Spring *spring = &springs[k];
-        const double q = v[POSITION + i], angle = spring->harmonic * q;
+        const double q = v[POSITION + i];
+        const double angle = spring->harmonic * q;
         if (spring->joint == i) {
             const double wave = spring->sine ? sin(angle) : cos(angle);
-            torque += v[ROTORS + JOINTS + k] * (spring->linear ? q : wave);
+            const double shape = spring->linear ? q : wave;
+            torque += v[ROTORS + JOINTS + k] * shape;
         }
     }
     return torque;
 }
 
 static bool component_initialise(Component *component, void *workspace, Message *why) {
-    (void)component, (void)workspace, (void)why;
+    (void)component;
+    (void)workspace;
+    (void)why;
     return true;
 }
 
@@ -151,7 +171,8 @@ static bool component_output(Component *component, void *workspace, Message *why
     double *v = component->v;
     Link links[LINKS];
     double needed[LINKS];
-    (void)workspace, (void)why;
+    (void)workspace;
+    (void)why;
     for (int i = 0; i < LINKS; i++) {
         move_link(v, i, links);
     }

@@ -7,9 +7,13 @@
 static fmi2Component fmu;
 static char heard[512];
 
+/* Keep a message of the FMU. */
 static void listen(fmi2ComponentEnvironment environment, fmi2String instance, fmi2Status status,
                    fmi2String category, fmi2String message, ...) {
-    (void)environment, (void)instance, (void)status, (void)category;
+    (void)environment;
+    (void)instance;
+    (void)status;
+    (void)category;
     snprintf(heard, sizeof heard, "%s", message);
 }
 
@@ -30,21 +34,28 @@ int EXPORTED(live_reset)(void) {
     return fmi2Reset(fmu);
 }
 
+/* Initialise; return the status, as the functions below. */
 int EXPORTED(live_initialise)(void) {
     const fmi2Status status = fmi2EnterInitializationMode(fmu);
-    return status == fmi2OK ? fmi2ExitInitializationMode(fmu) : status;
+    if (status != fmi2OK) {
+        return status;
+    }
+    return fmi2ExitInitializationMode(fmu);
 }
 
+/* Set a variable. */
 int EXPORTED(live_set)(fmi2ValueReference reference, double value) {
     return fmi2SetReal(fmu, &reference, 1, &value);
 }
 
+/* Return a variable, NaN if it cannot be read. */
 double EXPORTED(live_get)(fmi2ValueReference reference) {
     double value = NAN;
     fmi2GetReal(fmu, &reference, 1, &value);
     return value;
 }
 
+/* Step from a time [s] by a step [s]. */
 int EXPORTED(live_step)(double time, double step) {
     return fmi2DoStep(fmu, time, step, fmi2True);
 }

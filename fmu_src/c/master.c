@@ -15,16 +15,20 @@
 #define PUBLIC __attribute__((visibility("default")))
 #endif
 
+/* An FMU with its functions, and the buffers of its inputs and outputs. */
 typedef struct {
     fmi2Component component;
     __typeof__(&fmi2SetReal) set;
     __typeof__(&fmi2GetReal) get;
     __typeof__(&fmi2DoStep) step;
     int64_t every; /* its step, in communication steps */
-    int64_t inputs, outputs;
-    const fmi2ValueReference *input_references, *output_references;
+    int64_t inputs;
+    int64_t outputs;
+    const fmi2ValueReference *input_references;
+    const fmi2ValueReference *output_references;
     const int64_t *sources; /* index of each input's value */
-    double *input_values, *output_values;
+    double *input_values;
+    double *output_values;
 } Station;
 
 /* How the steps ended. */
@@ -33,7 +37,9 @@ typedef enum { DONE, NOT_FINITE, OUTSIDE, SET_FAILED, STEP_FAILED, GET_FAILED } 
 /* Recorded rows, and the station and the function that is called, as `End`. Other processes may
  * read it. */
 typedef struct {
-    int64_t done, station, call;
+    int64_t done;
+    int64_t station;
+    int64_t call;
 } StepRecord;
 
 typedef struct {
@@ -46,7 +52,8 @@ typedef struct {
     const int64_t *rows; /* indices of the recorded values */
     int64_t width;
     const int64_t *limited; /* indices of the values with limits */
-    const double *low, *high;
+    const double *low;
+    const double *high;
     int64_t limits;
     double *kept; /* (steps + 1, width) */
     StepRecord *progress;
@@ -58,11 +65,13 @@ static bool is_good(fmi2Status status) {
     return status == fmi2OK || status == fmi2Warning;
 }
 
+/* Note the station and the function that is called next. */
 static void note(System *s, int64_t i, End call) {
     s->progress->station = i;
     s->progress->call = call;
 }
 
+/* Set the inputs of a station from the values of the system. */
 static bool set_inputs(System *s, int64_t i) {
     const Station *at = &s->stations[i];
     if (at->inputs == 0) {
@@ -76,6 +85,7 @@ static bool set_inputs(System *s, int64_t i) {
     return is_good(s->status);
 }
 
+/* Step a station to the end of communication step k. */
 static bool do_step(System *s, int64_t i, int64_t k) {
     const Station *at = &s->stations[i];
     const double from = (double)(k + 1 - at->every) * s->step;
@@ -84,6 +94,7 @@ static bool do_step(System *s, int64_t i, int64_t k) {
     return is_good(s->status);
 }
 
+/* Read the outputs of a station into the values of the system. */
 static bool read_outputs(System *s, int64_t i) {
     const Station *at = &s->stations[i];
     if (at->outputs == 0) {
@@ -95,6 +106,7 @@ static bool read_outputs(System *s, int64_t i) {
     return is_good(s->status);
 }
 
+/* Communication step k, in which each station sees the outputs of those before it. */
 static bool gauss_seidel(System *s, int64_t k) {
     bool good = true;
     for (int64_t i = 0; good && i < s->count; i++) {
@@ -105,6 +117,7 @@ static bool gauss_seidel(System *s, int64_t k) {
     return good;
 }
 
+/* Communication step k, in which all stations see the outputs of the step before. */
 static bool jacobi(System *s, int64_t k) {
     bool good = true;
     for (int64_t i = 0; good && i < s->count; i++) {
@@ -119,11 +132,15 @@ static bool jacobi(System *s, int64_t k) {
     return good;
 }
 
+/* Step until `stop` rows are recorded; return how the steps ended. */
 PUBLIC int advance(System *s, int64_t stop) {
     while (s->progress->done < stop) {
         const int64_t k = s->progress->done;
-        if (k > 0 && !(s->jacobi ? jacobi : gauss_seidel)(s, k - 1)) {
-            return (int)s->progress->call;
+        if (k > 0) {
+            const bool good = s->jacobi ? jacobi(s, k - 1) : gauss_seidel(s, k - 1);
+            if (!good) {
+                return (int)s->progress->call;
+            }
         }
         for (int64_t i = 0; i < s->size; i++) {
             if (!isfinite(s->values[i])) {

@@ -20,12 +20,21 @@
 
 /* The component's own memory: whether initialisation has ended, noise samples, start time [s],
  * MuJoCo steps since then, levels [N.m] and ages [s] of the losses, MuJoCo's state. */
-enum { STARTED = 0, SAMPLES = 1, ORIGIN = 2, MADE = 3, LEVELS = 4 };
-enum { AGES = LEVELS + LOSSES, MUJOCO_STATE = AGES + LOSSES };
+enum {
+    STARTED = 0,
+    SAMPLES = 1,
+    ORIGIN = 2,
+    MADE = 3,
+    LEVELS = 4,
+    AGES = LEVELS + LOSSES,
+    MUJOCO_STATE = AGES + LOSSES
+};
 
-/* Tolerance of times as a fraction of MuJoCo's step, and the maximum number of its steps in a
- * step. */
-static const double ROUNDING = 1e-6, MOST_STEPS = 1e6;
+/* Tolerance of times as a fraction of MuJoCo's step. */
+static const double ROUNDING = 1e-6;
+
+/* Maximum number of MuJoCo's steps in a step. */
+static const double MAX_STEPS = 1e6;
 
 typedef struct {
     mjModel *model;
@@ -56,12 +65,17 @@ static void component_close(void *workspace) {
     }
 }
 
+/* Load the model; called with MuJoCo's errors caught, as the other functions of a `Call`. */
 static bool load(void *argument) {
     const Call *call = argument;
     Workspace *w = call->workspace;
     w->original = mj_loadModel(call->path, NULL);
-    w->model = w->original ? mj_copyModel(NULL, w->original) : NULL;
-    w->data = w->model ? mj_makeData(w->model) : NULL;
+    if (w->original) {
+        w->model = mj_copyModel(NULL, w->original);
+    }
+    if (w->model) {
+        w->data = mj_makeData(w->model);
+    }
     for (int i = 0; w->data && i < w->model->nsensor; i++) {
         w->sensors_remember |= w->model->sensor_history[2 * i] > 0;
     }
@@ -90,6 +104,7 @@ static void *component_open(const char *resources, Message *why) {
     return call.workspace;
 }
 
+/* Change the model unless it has these changes. */
 static void change(Workspace *w, Changes changes) {
     mjModel *m = w->model;
     if (w->changed && memcmp(&w->changes, &changes, sizeof changes) == 0) {
@@ -116,10 +131,12 @@ static void change(Workspace *w, Changes changes) {
     w->changed = true;
 }
 
+/* Store MuJoCo's state in the component. */
 static void save(Component *component, const Workspace *w) {
     mj_getState(w->model, w->data, &component->own[MUJOCO_STATE], mjSTATE_INTEGRATION);
 }
 
+/* Return model and data to the state of the component. */
 static void restore(const Component *component, Workspace *w) {
     change(w, changes_of(component->v));
     memset(w->data->warning, 0, sizeof w->data->warning); /* warnings of a discarded future */
@@ -132,6 +149,7 @@ static void restore(const Component *component, Workspace *w) {
     mj_setState(w->model, w->data, &component->own[MUJOCO_STATE], mjSTATE_INTEGRATION);
 }
 
+/* Evaluate forces and sensors at the state of the component. */
 static void evaluate(const Component *component, Workspace *w) {
     if (w->evaluated) {
         return;
@@ -148,15 +166,21 @@ static void make_step(Workspace *w) {
     const bool halves = m->opt.integrator != mjINT_RK4 && (m->opt.enableflags & mjENBL_SLEEP) == 0;
     const bool half_done = w->evaluated && halves;
     w->evaluated = false;
-    (half_done ? mj_step2 : mj_step)(m, w->data);
+    if (half_done) {
+        mj_step2(m, w->data);
+    } else {
+        mj_step(m, w->data);
+    }
 }
 
+/* Sum the sensors and losses of each output. */
 static void read_without_noise(double *v, const Workspace *w) {
     const mjData *data = w->data;
     const double scale = value_or(v, FRICTION_SCALE, 1.0);
     memset(&v[FIRST_OUTPUT], 0, OUTPUTS * sizeof *v);
     for (int i = 0; i < READS; i++) {
-        const double factor = (reads[i].scaled ? scale : 1.0) * reads[i].factor;
+        const double read_scale = reads[i].scaled ? scale : 1.0;
+        const double factor = read_scale * reads[i].factor;
         v[reads[i].output] += factor * data->sensordata[reads[i].sensor];
     }
     for (int i = 0; i < LOST; i++) {
@@ -164,6 +188,7 @@ static void read_without_noise(double *v, const Workspace *w) {
     }
 }
 
+/* Set the outputs at the state of the component, with the noise of this sample. */
 static void read_sensors(Component *component, Workspace *w) {
     double *v = component->v;
     const uint64_t seed = seed_half(v, 0) | seed_half(v, 1) << 32;
@@ -176,6 +201,7 @@ static void read_sensors(Component *component, Workspace *w) {
     }
 }
 
+/* Set the state to the start values. */
 static bool begin(void *argument) {
     const Call *call = argument;
     Workspace *w = call->workspace;
@@ -218,6 +244,7 @@ static bool component_initialise(Component *component, void *workspace, Message 
     return true;
 }
 
+/* Set the outputs. */
 static bool output(void *argument) {
     const Call *call = argument;
     if (call->component->own[STARTED] > 0.0) {
@@ -271,8 +298,10 @@ static bool out_of_bounds(const mjModel *m, const mjData *data) {
     return bad;
 }
 
+/* Advance levels and ages of the losses by the last step of MuJoCo. */
 static void age(Component *component, Workspace *w) {
-    double *levels = &component->own[LEVELS], *ages = &component->own[AGES];
+    double *levels = &component->own[LEVELS];
+    double *ages = &component->own[AGES];
     for (int i = 0; i < LOSSES; i++) {
         ages[i] = age_after(&losses[i], w->data, ages[i], w->model->opt.timestep);
         levels[i] = level_of(&losses[i], w->data, ages[i]);
@@ -280,6 +309,7 @@ static void age(Component *component, Workspace *w) {
     set_levels(w->model, levels, w->changes.scale);
 }
 
+/* Make the steps of MuJoCo. */
 static bool advance(void *argument) {
     const Call *call = argument;
     Workspace *w = call->workspace;
@@ -313,9 +343,9 @@ static bool component_step(Component *component, void *workspace, double step, M
     Workspace *w = workspace;
     const double passed = component->time + step - component->own[ORIGIN];
     const double due = floor(passed / w->model->opt.timestep + ROUNDING) - component->own[MADE];
-    if (!(due <= MOST_STEPS)) {
+    if (!(due <= MAX_STEPS)) {
         return deny(why, "A step of %g s would be %g of the simulation's own; at most %g are made.",
-                    step, due, MOST_STEPS);
+                    step, due, MAX_STEPS);
     }
     if (due < 1.0) {
         return true;

@@ -11,14 +11,19 @@
 #include "mujoco_library.h"
 #include "signals.h"
 
+/* How parameters change the model: factor on friction, payload [kg], latency [s]. */
 typedef struct {
-    double scale, payload, latency;
+    double scale;
+    double payload;
+    double latency;
 } Changes;
 
+/* Value of a variable that the FMU may lack. */
 static double value_or(const double *v, int place, double otherwise) {
     return place >= 0 ? v[place] : otherwise;
 }
 
+/* Changes by the parameters in the values v. */
 static Changes changes_of(const double *v) {
     const Changes changes = {value_or(v, FRICTION_SCALE, 1.0), value_or(v, PAYLOAD, 0.0),
                              value_or(v, LATENCY, -1.0)};
@@ -30,10 +35,12 @@ static uint64_t seed_half(const double *v, int half) {
     return NOISE_SEED >= 0 ? (uint32_t)(int32_t)v[NOISE_SEED + half] : 0u;
 }
 
+/* Whether a parameter that the FMU may lack is not negative. */
 static bool not_negative(const double *v, int place, Message *why) {
     return place < 0 || sound(v, place, v[place] >= 0.0, "not be negative", why);
 }
 
+/* Whether all parameters are in their ranges. */
 static bool parameters_are_usable(const double *v, Message *why) {
     bool usable = not_negative(v, FRICTION_SCALE, why) && not_negative(v, PAYLOAD, why) &&
                   not_negative(v, LATENCY, why);
@@ -65,8 +72,8 @@ static void scale_friction(mjModel *m, int actuator, double wanted) {
     }
 }
 
-/* Without interpolation a command acts at the first step after the delay. Half a step less protects
- * it from round-off. */
+/* Delay of an actuator for a latency, both in s. Without interpolation a command acts at the first
+ * step after the delay. Half a step less protects it from round-off. */
 static double delay_of(const mjModel *m, int actuator, double latency) {
     const double steps = ceil(latency / m->opt.timestep - 1e-6);
     const bool interpolated = m->actuator_history[2 * actuator + 1] > 0;

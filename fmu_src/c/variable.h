@@ -24,7 +24,8 @@ typedef enum {
 
 typedef struct {
     const char *name;
-    unsigned char role, type; /* Role and Type, in bytes to keep the table small */
+    unsigned char role; /* Role and Type, in bytes to keep the table small */
+    unsigned char type;
     unsigned char used; /* whether any result depends directly on it, even if only at the start */
     int alike;          /* length of the run of reals without bounds that starts here and needs only
                            one check, or 0 */

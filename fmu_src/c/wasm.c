@@ -8,9 +8,11 @@
 #include <stdlib.h>
 #include <string.h>
 
+/* As in C. */
 int strcmp(const char *a, const char *b) {
     while (*a && *a == *b) {
-        a++, b++;
+        a++;
+        b++;
     }
     return (unsigned char)*a - (unsigned char)*b;
 }
@@ -34,11 +36,14 @@ void free(void *memory) {
 
 /* --- text: %s, %d, %u, %lu and %g with precisions, as used by the messages ------------------ */
 
+/* A text that is written; `length` counts what does not fit as well. */
 typedef struct {
     char *to;
-    size_t size, length;
+    size_t size;
+    size_t length;
 } text;
 
+/* Add a character. */
 static void put(text *t, char c) {
     if (t->length + 1 < t->size) {
         t->to[t->length] = c;
@@ -46,6 +51,7 @@ static void put(text *t, char c) {
     t->length++;
 }
 
+/* Add a whole number with at least so many digits. */
 static void put_whole(text *t, unsigned long value, int least) {
     char digits[20];
     int n = 0;
@@ -67,7 +73,8 @@ enum { DIGITS = 800 }; /* the longest double has 767 */
 static int decimal(double value, char digits[DIGITS], int *exponent) {
     uint64_t bits;
     memcpy(&bits, &value, sizeof bits);
-    const int power = (int)(bits >> 52), e = power ? power - 1075 : -1074;
+    const int power = (int)(bits >> 52);
+    const int e = power ? power - 1075 : -1074;
     int n = 0;
     for (uint64_t whole = bits % HIDDEN + (power ? HIDDEN : 0); whole; whole /= 10) {
         digits[n++] = (char)(whole % 10);
@@ -119,19 +126,34 @@ static int rounded(char digits[DIGITS], int n, int precision, int *exponent) {
     return n - zeros;
 }
 
+/* Add a text. */
+static void put_text(text *t, const char *part) {
+    for (; *part; part++) {
+        put(t, *part);
+    }
+}
+
+/* Add a number as %g does. */
 static void put_number(text *t, double value, int precision) {
     if (signbit(value)) {
         put(t, '-');
         value = -value;
     }
-    if (!isfinite(value) || value == 0.0) {
-        for (const char *c = isnan(value) ? "nan" : value == 0.0 ? "0" : "inf"; *c; c++) {
-            put(t, *c);
-        }
+    if (isnan(value)) {
+        put_text(t, "nan");
+        return;
+    }
+    if (isinf(value)) {
+        put_text(t, "inf");
+        return;
+    }
+    if (value == 0.0) {
+        put(t, '0');
         return;
     }
     char digits[DIGITS];
-    int exponent, n = decimal(value, digits, &exponent);
+    int exponent;
+    int n = decimal(value, digits, &exponent);
     n = rounded(digits, n, precision, &exponent);
     const int power = exponent + n - 1; /* of the first digit */
     const bool plain = power >= -4 && power < precision;
@@ -139,7 +161,8 @@ static void put_number(text *t, double value, int precision) {
     const int last = point - n + 1 < 0 ? point - n + 1 : 0;
     for (int place = point > 0 ? point : 0; place >= last; place--) {
         const int i = n - 1 - (point - place);
-        put(t, (char)('0' + (place <= point && i >= 0 ? digits[i] : 0)));
+        const bool has_digit = place <= point && i >= 0;
+        put(t, (char)('0' + (has_digit ? digits[i] : 0)));
         if (place == 0 && last < 0) {
             put(t, '.');
         }
@@ -160,16 +183,15 @@ int vsnprintf(char *to, size_t size, const char *format, va_list values) {
         }
         int precision = 6;
         if (*++c == '.') {
-            for (precision = 0, c++; *c >= '0' && *c <= '9'; c++) {
+            precision = 0;
+            for (c++; *c >= '0' && *c <= '9'; c++) {
                 precision = 10 * precision + (*c - '0');
             }
         }
         if (*c == 'g') {
             put_number(&t, va_arg(values, double), precision);
         } else if (*c == 's') {
-            for (const char *part = va_arg(values, const char *); *part; part++) {
-                put(&t, *part);
-            }
+            put_text(&t, va_arg(values, const char *));
         } else if (*c == 'd') {
             const long value = va_arg(values, int);
             if (value < 0) {

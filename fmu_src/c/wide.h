@@ -29,7 +29,11 @@
 /* Whether processor and operating system support AVX2; asking them is slow. */
 static inline int has_wide_vectors(void) {
     static volatile int known = -1;
-    unsigned a, b, c, d, saved = 0;
+    unsigned a;
+    unsigned b;
+    unsigned c;
+    unsigned d;
+    unsigned saved = 0;
     if (known < 0) {
         const bool saves = __get_cpuid(1, &a, &b, &c, &d) && (c & bit_OSXSAVE);
         if (saves) {
