@@ -123,7 +123,7 @@ def _joint(
     }
     # One switch serves all joints.
     names |= {switch.name: switch.name for switch in switches}
-    parameters = tuple(map(_without_start, component.parameters))
+    parameters = tuple(map(_remove_start, component.parameters))
     return Joint(
         component=replace(component, parameters=parameters),
         names=names,
@@ -134,7 +134,7 @@ def _joint(
     )
 
 
-def _without_start(parameter: Quantity) -> Quantity:
+def _remove_start(parameter: Quantity) -> Quantity:
     """Return a parameter without what C lacks: joints that differ only in it share C code."""
     parameter = replace(parameter, description="", unit="1")
     if isinstance(parameter, Parameter):

@@ -395,10 +395,10 @@ class LocalBuffer:
         """Set the variables; other elements of their arrays keep their values."""
         held = self.instance.held
         if not self.is_plain:
-            whole: list[float] = []
+            held_values: list[float] = []
             for array in self._arrays:
-                whole += held[array]
-            self._whole[:] = whole
+                held_values += held[array]
+            self._whole[:] = held_values
             self._whole[self._places] = self.values
         self.instance.call(self._write, *self._arguments)
         if self._has_arrays:
