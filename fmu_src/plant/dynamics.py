@@ -231,7 +231,7 @@ class _Arm:
         self.mixing: Array = np.eye(robot.n)
         coupling = robot.description.coupling
         if coupling is not None and not of_joints:
-            self.mixing = np.linalg.inv(coupling.forward)
+            self.mixing = np.asarray(np.linalg.inv(coupling.forward), dtype=float)
         self.slopes = slopes @ self.mixing
         # Parameters without an entry in the table vanish from the statements.
         used_rows = np.any(table(robot) != 0.0, axis=1)
