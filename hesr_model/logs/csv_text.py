@@ -47,7 +47,19 @@ _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|\d{4}-\d\d-\d\d
 _TIME = re.compile(
     r"(1[7-9]|2[01])\d\d-\d\d-\d\d([T ]\d\d:\d\d(:\d\d(\.\d{1,9})?)?(Z|[+-]\d\d(:?\d\d)?)?)?"
 )
-_EMPTY_CELLS = {"", "#N/A", "#NA", "N/A", "NA", "NULL", "n/a", "null"}
+_MISSING = re.compile(
+    r"-*|\?|none|n/?a|<na>|#n/?a|\(?null\)?|<?missing>?|undefined|#(value|num)!|#div/0!"
+    r"|[-+]?1\.#(ind|qnan|snan)0*|[-+]?nan(\(s?(nan|ind)\))?",
+    re.IGNORECASE,
+)  # what programs write where there is no number, some of them of Windows
+_INFINITY = re.compile(r"([-+]?)1\.#INF0*")  # as Windows writes it
+_DURATION = re.compile(
+    r"([-+]?\d+\.?\d*(?:[eE][-+]?\d+)?)\s*(s|sec|secs|seconds?|ms|msec|us|µs|ns|min)"
+)
+_NANOSECONDS = {"m": 1e6, "u": 1e3, "µ": 1e3, "n": 1.0, "s": 1e9}  # by first letter; not of min
+_LIST = re.compile(r"(?:array\()?(?:'\w', ?)?[\[({]([^\[\](){}]*)[\])}]\)?")
+_CUT_NUMBER = re.compile(r".*([eE]|[-+.])")  # a number that goes on
+_MIN_UNCUT_ROWS = 20  # rows whose last cells show that a shorter one is cut
 _TRUTHS = {"true": 1.0, "1": 1.0, "false": 0.0, "0": 0.0, "nan": float("nan")}
 _START_BYTES = 2**16
 _CONTROL_BYTES = re.compile(rb"[\0-\x08\x0e-\x1f]")  # bytes that show the encoding
@@ -159,7 +171,7 @@ def _find_dialect(path: Path, content: bytes | None, names: Sequence[str]) -> _D
     try:
         with _open_text(path, content) as file:
             numbered_lines = (
-                (k, line.strip()) for k, line in enumerate(_read_lines(file), start=1)
+                (k, line.strip(" \r\n")) for k, line in enumerate(_read_lines(file), start=1)
             )
             head = list(
                 islice(((k, line) for k, line in numbered_lines if line), _MAX_SEARCHED_LINES)
@@ -186,17 +198,20 @@ def _find_table(
     # Rows without a header, with the number of cells of the line above.
     headerless_rows: list[tuple[int, list[str]]] = []
     for index, (number, line) in enumerate(lines):
-        for delimiter in sorted(_DELIMITERS, key=lambda d: -line.count(d)):
+        # Blanks stand beside other separators as well.
+        for delimiter in sorted(_DELIMITERS, key=lambda d: (d == " ", -line.count(d))):
             if not _is_data(line, delimiter):
                 continue
             cells = _split_cells(line, delimiter)
-            if len(cells) == len(names) and not _is_count(cells):
+            if names and _has_length(cells, len(names)) and not _is_count(cells):
                 return 0, number, delimiter
             lines_above = [
                 (k, text.lstrip(_COMMENT_MARKS + " ")) for k, text in reversed(lines[:index])
             ]
             fitting_lines = [
-                (k, text) for k, text in lines_above if _count_cells(text, delimiter) == len(cells)
+                (k, text)
+                for k, text in lines_above
+                if _has_length(cells, _count_cells(text, delimiter))
             ]
             unit_lines = [k for k, text in fitting_lines[:1] if _is_unit_row(text, delimiter)]
             header_lines = (
@@ -258,15 +273,20 @@ def _is_data(line: str, delimiter: str) -> bool:
     """Return whether a line has numbers, some may be missing."""
     if line[0] in _COMMENT_MARKS or delimiter not in line:
         return False
-    cells = _split_cells(line, delimiter)
-    numbers = sum(bool(_NUMBER.fullmatch(cell)) for cell in cells)
+    cells = [cell for cell in _split_cells(line, delimiter) if not _MISSING.fullmatch(cell)]
+    numbers = sum(bool(_NUMBER.fullmatch(cell) or _DURATION.fullmatch(cell)) for cell in cells)
     return numbers > 0 and 2 * numbers >= len(cells)
+
+
+def _has_length(cells: Sequence[str], length: int) -> bool:
+    """Return whether a row has a number of cells, apart from empty ones at its end."""
+    return len(cells) >= length and not any(cells[length:])
 
 
 def _is_row(line: str, delimiter: str) -> bool:
     """Return whether a line has nothing but numbers; a header may count its columns."""
     cells = _split_cells(line, delimiter)
-    is_numeric = all(_NUMBER.fullmatch(cell) or cell.lower() in ("", "nan") for cell in cells)
+    is_numeric = all(_NUMBER.fullmatch(cell) or _MISSING.fullmatch(cell) for cell in cells)
     return is_numeric and not _is_count(cells)
 
 
@@ -281,7 +301,13 @@ def _is_unit_row(line: str, delimiter: str) -> bool:
 
 
 def _split_cells(line: str, delimiter: str) -> list[str]:
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
+    text = _squeeze(line, delimiter)
+    return [cell.strip() for cell in next(csv.reader([text], delimiter=delimiter), [])]
+
+
+def _squeeze(line: str, delimiter: str) -> str:
+    """Return a line whose cells are separated by one blank each, if blanks separate them."""
+    return re.sub(" +", " ", line.strip(" \r\n")) if delimiter == " " else line
 
 
 def _count_cells(line: str, delimiter: str) -> int:
@@ -328,8 +354,11 @@ def _read_chunks(dialect: _Dialect, chunk_rows: int = 0) -> Iterator[_Chunk]:
         with _open_text(dialect.path, dialect.content, newline="") as file:
             lines = _read_lines(file)
             lines_above = list(islice(lines, dialect.first_line - 1))[dialect.header_line - 1 :]
+            # A logger that begins again in the same file repeats its header.
+            header_text = "".join(lines_above[:1]).strip() if dialect.header_line else ""
+            header_lines = [_squeeze(line, dialect.delimiter) for line in lines_above]
             header = csv.reader(
-                lines_above if dialect.header_line else [], delimiter=dialect.delimiter
+                header_lines if dialect.header_line else [], delimiter=dialect.delimiter
             )
             names = list(dialect.names) or _parse_names(next(header, []))
             if not names:
@@ -346,7 +375,10 @@ def _read_chunks(dialect: _Dialect, chunk_rows: int = 0) -> Iterator[_Chunk]:
                 islice(lines_below, chunk_rows or max(1, _CHUNK_CELLS // len(names)))
             ):
                 rows = {
-                    k: line for k, line in chunk if line.strip(" \r\n")[:1] not in _COMMENT_MARKS
+                    k: line
+                    for k, line in chunk
+                    if line.strip(f" \r\n{dialect.delimiter}")[:1] not in _COMMENT_MARKS
+                    and line.strip() != header_text
                 }
                 _remove_torn_row(rows, dialect, len(names))
                 if rows:
@@ -367,8 +399,14 @@ def _remove_torn_row(rows: dict[int, str], dialect: _Dialect, column_count: int)
     number = max(rows, default=0)
     if number == 0 or rows[number].endswith(("\n", "\r")):
         return
-    cells = next(csv.reader([rows[number]], delimiter=dialect.delimiter), [])
-    if 0 < len(cells) < column_count and number > dialect.first_line:
+    cells = _split_cells(rows[number], dialect.delimiter)
+    if not cells or number <= dialect.first_line:
+        return
+    # What is left of a number may be another number.
+    last_cells = [line.rstrip().rpartition(dialect.delimiter)[2] for line in rows.values()]
+    lengths = [len(cell) for cell in last_cells]
+    is_short = len(lengths) > _MIN_UNCUT_ROWS and lengths[-1] < min(lengths[:-1])
+    if len(cells) < column_count or is_short or _CUT_NUMBER.fullmatch(cells[-1]):
         # A proposal is tried in a folder of its own; the name is that of the user's file.
         name = dialect.path.name
         _log.warning("%s: its last row, %d, is cut off and was left out.", name, number)
@@ -414,12 +452,11 @@ class _ListCells:
 
 def _parse_list(cell: str) -> list[float]:
     """Return the numbers of a cell with a list, none of any other cell."""
-    text = cell.strip()
-    if not (text.startswith("[") and text.endswith("]")):
+    match = _LIST.fullmatch(cell.strip())
+    if match is None:
         return []
-    numbers = text[1:-1].split(",")
     with suppress(ValueError):
-        return [float(number) for number in numbers]
+        return [float(number) for number in re.split(r"\s*[,;]\s*|\s+", match[1].strip())]
     return []
 
 
@@ -450,7 +487,7 @@ def _is_empty(column: Array | TextCell) -> bool:
 
 def _parse_columns(rows: Mapping[int, str], dialect: _Dialect, column_count: int) -> Iterable[Any]:
     """Return the columns of some lines, as arrays if all cells are numbers."""
-    lines = list(rows.values())
+    lines = [_squeeze(line, dialect.delimiter) for line in rows.values()]
     point_lines = (
         [line.translate(_SWAP_COMMA) for line in lines] if dialect.decimal == "," else lines
     )
@@ -466,6 +503,8 @@ def _parse_columns(rows: Mapping[int, str], dialect: _Dialect, column_count: int
             return columns
     cells = list(csv.reader(lines, delimiter=dialect.delimiter))
     for number, row in zip(rows, cells, strict=False):
+        while len(row) > column_count and not row[-1].strip():
+            row.pop()
         if len(row) != column_count:
             raise LogError(
                 f"{dialect.path}: row {number} has {len(row)} cells; the header has {column_count} "
@@ -492,7 +531,7 @@ class Column:
             return
         part = cells if isinstance(cells, np.ndarray) else _parse_numbers(cells, decimal)
         if part is None:
-            cells = ["nan" if cell.strip() in _EMPTY_CELLS else cell for cell in cells]
+            cells = [_normalise_cell(cell) for cell in cells]
             part = _parse_numbers(cells, decimal)
         if part is None:
             k = next(k for k, cell in enumerate(cells) if _parse_numbers([cell], decimal) is None)
@@ -506,8 +545,14 @@ class Column:
             column = np.concatenate(self._parts)
         except (TypeError, ValueError):  # times and numbers; text; nothing
             return self._text_cell or np.empty(0)
-        is_time_or_truth = column.dtype.kind == "M" or np.isin(np.nan_to_num(column), (0, 1)).all()
+        is_time_or_truth = column.dtype.kind in "mM" or np.isin(np.nan_to_num(column), (0, 1)).all()
         return self._text_cell if self._text_cell and not is_time_or_truth else column
+
+
+def _normalise_cell(cell: str) -> str:
+    """Return "nan" or "inf" for a cell that says so in another way."""
+    text = cell.strip()
+    return "nan" if _MISSING.fullmatch(text) else _INFINITY.sub(r"\1inf", text)
 
 
 def _parse_numbers(cells: Sequence[str], decimal: str) -> Array | None:
@@ -534,7 +579,20 @@ def _parse_times_or_truths(cells: Sequence[str]) -> Array | None:
         with suppress(ValueError), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of zones, which NumPy converts to UTC
             return np.array(["NaT" if cell == "nan" else cell for cell in cells], "M8")
+    with suppress(ValueError, OverflowError):
+        return np.array([_parse_duration(cell) for cell in cells], "m8[ns]")
     return None
+
+
+def _parse_duration(cell: str) -> np.timedelta64:
+    """Return the duration of a cell such as "0.005 sec"; raises ValueError for other text."""
+    if cell == "nan":
+        return np.timedelta64("NaT", "ns")
+    match = _DURATION.fullmatch(cell)
+    if match is None:
+        raise ValueError("not a duration")
+    nanoseconds = 60e9 if match[2] == "min" else _NANOSECONDS[match[2][0]]
+    return np.timedelta64(round(float(match[1]) * nanoseconds), "ns")
 
 
 def _parse_names(header: Sequence[str]) -> list[str]:
