@@ -72,8 +72,7 @@ def check_time(log: Log, description: RobotDescription) -> Iterator[Hypothesis]:
         yield Hypothesis(
             check="dropped-rows",
             joint="",
-            observation=f"{log.dropped} rows lack a number or repeat the time stamp of the row "
-            "before",
+            observation=", ".join(f"{count} rows {cause}" for cause, count in log.left_out.items()),
             remedy="they were left out, as the robot file says",
             severity="warning",
         )

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hesr_model.errors import LogError
+from hesr_model.logs.bursts import find_period
 from hesr_model.logs.column_names import (
     BY_LETTER,
     BY_UNIT,
@@ -36,6 +37,7 @@ _PLAUSIBLE_RATES = (5.0, 20_000.0)  # plausible sample rates [Hz]
 _MAX_CANDIDATES = 8  # of a quantity that are tried
 _MAX_LOG_RATIO = 0.1  # of a derivative and a velocity in the units of their names
 _QUANTITIES = ("temperature", "dq", "q", "tau", "current")
+_MIN_BURSTS = 20  # stamps that tell a column of time with repeated stamps
 _SUPPLY_WORDS = frozenset(("id", "bus", "supply", "dc", "battery", "input"))
 
 
@@ -367,7 +369,9 @@ def _find_time(table: LogTable) -> str | tuple[str, str]:
     pairs = [pair for pair in _find_time_pairs(table) if _rises(table, pair)]
     if pairs:
         return min(pairs)
-    rising_names = [name for name in _find_time_names(table) if _rises(table, name)]
+    time_names = _find_time_names(table)
+    rising_names = [name for name in time_names if _rises(table, name)]
+    rising_names = rising_names or [name for name in time_names if _rises_in_bursts(table, name)]
     if not rising_names:
         raise LogError(
             f"{table.path}: no column looks like time; it has {table.listing}; name it under "
@@ -429,11 +433,22 @@ def _rises(table: LogTable, name: str | tuple[str, str]) -> bool:
     return len(steps) > 1 and bool(np.mean(steps > 0) > 0.9)
 
 
+def _rises_in_bursts(table: LogTable, name: str) -> bool:
+    """Return whether stamps rise, but for rows that repeat the stamp of the row before."""
+    try:
+        stamps = table.times(name, 1.0, missing=True)
+    except LogError:
+        return False
+    steps = np.diff(stamps[np.isfinite(stamps)])
+    has_bursts = np.count_nonzero(steps > 0.0) >= _MIN_BURSTS
+    return bool(has_bursts and np.all(steps >= 0.0))
+
+
 def _guess_time_unit(table: LogTable, name: str | tuple[str, str]) -> tuple[str, str]:
     if not isinstance(name, str):
         return "s", f"whole seconds, and {find_fraction_unit(name[1])} since: {', '.join(name)}"
     stamps = table.times(name, 1.0, missing=True)
-    period = float(np.median(np.diff(stamps[np.isfinite(stamps)])))
+    period = find_period(stamps[np.isfinite(stamps)])
     lowest_rate, highest_rate = _PLAUSIBLE_RATES
     plausible_units = [
         candidate

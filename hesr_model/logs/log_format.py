@@ -203,17 +203,19 @@ class LogFormat(Config):
     """Format of a robot's logs.
 
     `sample_rate` [Hz] is checked; `rate` [Hz] replaces a missing time column. Rows are `missing`
-    with an empty cell, NaN or a repeated stamp; of `duplicates`, rows that repeat a stamp, the
-    first is kept; `sort` orders rows by time. Stamps begin again after `wrap` of their unit, as of
-    a counter; where they `restart`, time goes on after a gap.
+    with an empty cell, NaN or a repeated stamp; columns with numbers in different rows are
+    interpolated at the rows of the slowest. Of `duplicates`, rows that repeat a stamp, the first is
+    kept, or all are spread evenly, as rows that arrive in bursts; `sort` orders rows by time.
+    Stamps begin again after `wrap` of their unit, as of a counter; where they `restart`, time goes
+    on after a gap.
     `filter_cutoff` [Hz] applies to q and dq; `zero` [rad; m] is the joint position at a logged 0;
     `torque_per_ampere` [N.m/A] turns currents into torques.
     """
 
     sample_rate: float | None = Field(default=None, gt=0)
     rate: float | None = Field(default=None, gt=0)
-    missing: Literal["refuse", "drop"] = "refuse"
-    duplicates: Literal["refuse", "first"] = "refuse"
+    missing: Literal["refuse", "drop", "interpolate"] = "refuse"
+    duplicates: Literal["refuse", "first", "spread"] = "refuse"
     sort: bool = False
     wrap: float | None = Field(default=None, gt=0)
     restart: Literal["refuse", "gap"] = "refuse"
@@ -224,3 +226,8 @@ class LogFormat(Config):
     zero: tuple[float, ...] | None = None
     torque_per_ampere: tuple[float, ...] | None = None
     cylinder: LogCylinder | None = None
+
+    @property
+    def allows_missing(self) -> bool:
+        """Whether rows may lack numbers."""
+        return self.missing != "refuse"

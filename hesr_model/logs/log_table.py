@@ -3,18 +3,20 @@
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hesr_model.errors import LogError
-from hesr_model.logs.column_names import find_fraction_unit
+from hesr_model.logs.column_names import find_fraction_unit, read_name
 from hesr_model.support.arrays import Array
+from hesr_model.support.ledger import find_close_names, format_suggestion
 
 _MAX_COLUMNS = 10_000
 _MAX_NAMES = 30  # names in a sentence
+_MIN_NAME_SIMILARITY = 0.75  # of a name that may have been meant
 _MAX_NAME_LENGTH = 60  # characters of a name
 _UNITS = {"D": 86400.0, "m": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # of times [s]
 _MAX_SECONDS = 9e9  # whose nanoseconds 64 bits hold
@@ -47,6 +49,7 @@ class LogTable:
     line_numbers: Sequence[int] = ()
     rows_before: int = 0
     first_piece: "LogTable | None" = None
+    used: set[str] = field(default_factory=set)  # names that were looked up
 
     def __post_init__(self) -> None:
         repeated_names = [name for name, count in Counter(self.names).items() if count > 1]
@@ -78,6 +81,20 @@ class LogTable:
             )
         return replace(self, names=tuple(names))
 
+    def hide_empty_columns(self) -> "LogTable":
+        """Return the table without columns that have no number; messages mention them."""
+        is_empty = [_is_empty(self.arrays(k)) for k in range(len(self.names))]
+        if not any(is_empty):
+            return self
+        kept = [k for k, empty in enumerate(is_empty) if not empty]
+        empty_names = [f"{self.names[k]} (no numbers)" for k in np.flatnonzero(is_empty)]
+        return replace(
+            self,
+            names=tuple(self.names[k] for k in kept),
+            arrays=lambda k: self.arrays(kept[k]),
+            other_names=(*empty_names, *self.other_names),
+        )
+
     def row(self, index: int) -> int:
         """Return the row of a sample in the file, from 1."""
         return self.line_numbers[index] if self.line_numbers else self.rows_before + index + 1
@@ -86,6 +103,15 @@ class LogTable:
     def listing(self) -> str:
         """Columns of the file, for messages."""
         return join_names((*self.names, *self.other_names))
+
+    def suggest_names(self, missing: Sequence[str]) -> str:
+        """Return the names that resemble missing ones, for the end of a message."""
+        close_names: dict[str, None] = {}
+        for name in missing:
+            same_kind = [other for other in self.names if _may_be_same(name, other)]
+            close_names |= dict.fromkeys(find_close_names(name, same_kind, 1, _MIN_NAME_SIMILARITY))
+        suggestion = format_suggestion(list(close_names))
+        return f"; {suggestion.removesuffix('?')}" if suggestion else ""
 
     def numbers(self, names: Sequence[str], *, missing: bool = False) -> Array:
         """Return columns (N, len(names)), `missing` cells as NaN; raises LogError."""
@@ -147,11 +173,13 @@ class LogTable:
     def _find_column(self, name: str) -> Array | TextCell:
         if name not in self.names:
             raise LogError(
-                f"{self.path}: column '{name}' is missing; it has {self.listing}.",
+                f"{self.path}: column '{name}' is missing; it has {self.listing}"
+                f"{self.suggest_names([name])}.",
                 code="log.column_missing",
                 where=self.path,
                 key=name,
             )
+        self.used.add(name)
         return self.arrays(self.names.index(name))
 
     def _to_floats(self, name: str, cells: Array | TextCell, *, missing: bool) -> Array:
@@ -179,6 +207,12 @@ class LogTable:
                 key=name,
             )
         return values
+
+
+def _may_be_same(name: str, other: str) -> bool:
+    """Return whether two names are not those of different quantities, as q1 and dq1."""
+    quantities = [{reading.quantity for reading in read_name(text)} for text in (name, other)]
+    return not all(quantities) or not quantities[0].isdisjoint(quantities[1])
 
 
 def join_names(names: Sequence[str]) -> str:
@@ -234,6 +268,14 @@ def require_columns(path: Path, count: int) -> None:
             code="log.most_columns",
             where=path,
         )
+
+
+def _is_empty(cells: Array | TextCell) -> bool:
+    """Return whether a column of numbers or times has none."""
+    if isinstance(cells, TextCell) or cells.dtype.kind not in "fmM":
+        return False
+    is_missing = np.isnan if cells.dtype.kind == "f" else np.isnat
+    return bool(np.all(is_missing(cells)))
 
 
 def _find_kind(cells: Array | TextCell) -> str:

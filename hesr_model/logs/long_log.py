@@ -1,5 +1,6 @@
 """Logs that are read in pieces, with memory that does not grow with the rows."""
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -94,7 +95,13 @@ class LongLog:
         if isinstance(source, Path):
             log_format = description.log
             # What came before decides the order of rows, and how often a counter has wrapped.
-            needs_all = log_format.sort or log_format.wrap or log_format.restart != "refuse"
+            needs_all = (
+                log_format.sort
+                or log_format.wrap
+                or log_format.restart != "refuse"
+                or log_format.duplicates == "spread"
+                or log_format.missing == "interpolate"
+            )
             in_pieces = not needs_all and next(
                 read_sample_pieces(source, description, max_rows), None
             )
@@ -105,9 +112,9 @@ class LongLog:
         self._state = _read_state(source)
         self.checked_pieces: list[Log] = []
         self.travel: Array = np.empty(0)
-        self._dropped = 0
+        self._left_out = Counter[str]()
         parts = self._split(self._survey_pieces(), np.inf)
-        robot_log.require_rows(self._where, parts[0].last if parts else 0)
+        robot_log.require_rows(self._where, parts[0].last if parts else 0, self._left_out)
         (whole_part,) = parts
         longest = whole_part.steps.longest
         if isinstance(source, Path):
@@ -119,10 +126,10 @@ class LongLog:
             parts = self._split(self._read_pieces(), longest)
             logs_by_piece = (log.split(longest) for log in self.checked_pieces)
             self.checked_pieces = [max(logs, key=lambda log: len(log.t)) for logs in logs_by_piece]
-        self.checked_pieces = [
-            replace(log, dropped=0 if k else self._dropped)
-            for k, log in enumerate(self.checked_pieces)
-        ]
+        self.checked_pieces = [replace(log, dropped=0, left_out={}) for log in self.checked_pieces]
+        self.checked_pieces[0] = replace(
+            self.checked_pieces[0], dropped=self._left_out.total(), left_out=dict(self._left_out)
+        )
         self.gaps = len(parts) - 1
         self.longest_step = float(whole_part.steps.values[-1])
         shortest = robot_log.SHORTEST_PART
@@ -185,12 +192,11 @@ class LongLog:
             )
 
     def _survey_pieces(self) -> Iterator[Log]:
-        """Yield the pieces, and keep pieces to check, travel and the number of rows left out."""
+        """Yield the pieces, and keep pieces to check and the travel."""
         lowest = np.array(np.inf)
         highest = np.array(-np.inf)
         stride = 1
         for k, log in enumerate(self._read_pieces()):
-            self._dropped += log.dropped
             lowest, highest = (
                 np.minimum(lowest, log.q.min(axis=0)),
                 np.maximum(highest, log.q.max(axis=0)),
@@ -222,6 +228,7 @@ class LongLog:
 
     def _read_pieces(self) -> Iterator[Log]:
         source = self._source
+        self._left_out = Counter(source.left_out if isinstance(source, Log) else {})
         if isinstance(source, Log):
             for first in range(0, len(source.t), self._rows):
                 yield source.rows(slice(first, first + self._rows))
@@ -231,11 +238,11 @@ class LongLog:
             samples = file_samples.sort_samples(
                 self._description.log, previous_stamp=last_log.t[-1] if last_log else -np.inf
             )
+            self._left_out.update(samples.left_out)
             if not len(samples.t):
                 continue
             log = robot_log.convert_samples(source, samples, self._description)
-            dropped = len(file_samples.t) - len(samples.t)
-            log = replace(log, sha256=self._sha256, dropped=dropped, q_cmd=None, dq_cmd=None)
+            log = replace(log, sha256=self._sha256, q_cmd=None, dq_cmd=None)
             self._time = samples.time
             if samples.q is None and last_log is not None:
                 log = _continue_integral(last_log, log)

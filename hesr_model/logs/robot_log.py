@@ -1,6 +1,6 @@
 """Robot logs, converted to SI and checked."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from hesr_model.errors import LogError
+from hesr_model.logs.bursts import find_short_steps, has_bursts
 from hesr_model.logs.log_arrays import MAX_NUMBER, SIGNALS, read_log_arrays
 from hesr_model.logs.readers.formats import find_format
 from hesr_model.logs.readers.samples import LogSamples
@@ -25,6 +26,8 @@ SHORTEST_PART = 1.0  # minimum duration of a part [s]
 _RATE_MARGIN = 1.25
 _COUNTER_SIZES = (2.0**8, 1e3, 2.0**16, 1e6, 2.0**24, 1e9, 2.0**31, 2.0**32)  # of time stamps
 _CLOCK_SIZES = (60.0, 3600.0, 43_200.0, 86_400.0)  # [s] after which a clock shows the same time
+_SPREAD_REMEDY = "[log] duplicates = 'spread' spreads such rows evenly"
+_MIN_CHANGED_SHARE = 0.5  # of rows with a repeated stamp, if they are samples of their own
 _MIN_TWIST = 1e-12
 _MAX_TWIST = 0.1  # of a gear [rad], and over the joint's motion
 _USUAL_TWIST = 5e-3  # [rad] of a gear whose joint hardly moves
@@ -70,6 +73,8 @@ class Log:
     current_size : (N, n) [A], currents without a sign; None if not logged.
     path, sha256 : file of the log, and its hash.
     dropped : number of rows left out, by `LogFormat.missing`.
+    left_out : these rows by cause.
+    left_over : names in the file that are not used.
     robot : description, also made of a robot file, URDF, MJCF, `Robot`, or the
         name of a shipped robot; None if it is unknown.
     is_checked : True if the arrays fulfil these rules already, as those of
@@ -90,6 +95,8 @@ class Log:
     path: Path | None = None
     sha256: str = ""
     dropped: int = 0
+    left_out: Mapping[str, int] = field(default_factory=dict)
+    left_over: tuple[str, ...] = ()
     robot: _LogRobot = _LogRobot()
     is_checked: bool = field(default=False, repr=False)
 
@@ -234,9 +241,8 @@ class Log:
         robot.require_one_per_joint()
         file_samples = find_format(path).read(path, robot).continue_time(robot.log)
         samples = file_samples.sort_samples(robot.log)
-        dropped = len(file_samples.t) - len(samples.t)
-        log = replace(convert_samples(path, samples, robot), sha256=sha256(path), dropped=dropped)
-        require_rows(log.where, len(log.t))
+        log = replace(convert_samples(path, samples, robot), sha256=sha256(path))
+        require_rows(log.where, len(log.t), log.left_out)
         require_increase(log, samples)
         require_rate(f"{log.where}: {samples.time}", log.period, 1.0 / log.rate, robot)
         return log
@@ -316,6 +322,9 @@ def convert_samples(path: Path, samples: LogSamples, description: RobotDescripti
         temperature=temperature,
         q_link=_convert_q_link(path, samples, q, description),
         path=path,
+        dropped=sum(samples.left_out.values()),
+        left_out=samples.left_out,
+        left_over=samples.left_over,
         robot=description,
         is_checked=True,  # with places in the file
     )
@@ -467,11 +476,12 @@ def _require_usable_numbers(path: Path, samples: LogSamples, joints: Sequence[st
         )
 
 
-def require_rows(where: str, row_count: int) -> None:
-    """Raise LogError for fewer than two rows."""
+def require_rows(where: str, row_count: int, left_out: Mapping[str, int]) -> None:
+    """Raise LogError for fewer than two rows; others were `left_out`, by cause."""
     if row_count < 2:
+        reasons = "".join(f"; {count} rows {cause}" for cause, count in left_out.items())
         raise LogError(
-            f"{where}: has {row_count} rows of data; at least 2 are needed.",
+            f"{where}: has {row_count} rows of data; at least 2 are needed{reasons}.",
             code="log.rows",
             where=where,
         )
@@ -489,12 +499,23 @@ def require_increase(log: Log, samples: LogSamples, rows_before: int = 0) -> Non
             where=log.where,
             key="log.columns.t",
         )
+    if has_bursts(log.t):
+        share = float(np.mean(find_short_steps(log.t)))
+        raise LogError(
+            f"{log.where}: {samples.time}: {100 * share:.0f} % of its steps are shorter than a "
+            f"tenth of the usual one, as stamps of rows that arrive in bursts; {_SPREAD_REMEDY}.",
+            code="log.bursts",
+            where=log.where,
+            key="log.duplicates",
+        )
 
 
 def _find_time_remedy(log: Log, k: int) -> str:
     """Return the line of a robot file that lets time increase at row `k`, in words."""
     step_back = float(log.t[k - 1] - log.t[k])
     if step_back == 0.0:
+        if has_bursts(log.t) and _changes_at_repeats(log):
+            return _SPREAD_REMEDY
         return "[log] duplicates = 'first' leaves out rows that repeat a time stamp"
     wrap = _find_wrap(log)
     if wrap is not None:
@@ -502,6 +523,13 @@ def _find_time_remedy(log: Log, k: int) -> str:
     if step_back > 0.5 * float(log.t[k - 1] - log.t[0]):
         return "[log] restart = 'gap' takes the rows from there on as another part"
     return "[log] sort = true sorts rows by time"
+
+
+def _changes_at_repeats(log: Log) -> bool:
+    """Return whether most rows that repeat a stamp have another position than the row before."""
+    repeats = np.flatnonzero(np.diff(log.t) == 0.0)
+    changes = np.any(log.q[repeats + 1] != log.q[repeats], axis=1)
+    return bool(np.mean(changes) > _MIN_CHANGED_SHARE)
 
 
 def _find_wrap(log: Log) -> float | None:

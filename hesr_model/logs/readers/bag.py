@@ -99,7 +99,7 @@ def read_bag(path: Path, description: RobotDescription) -> LogSamples:
     Joints that no message lists together are interpolated at the stamps of the slowest one.
     """
     bag = description.log.bag
-    allows_missing = description.log.missing == "drop"
+    allows_missing = description.log.allows_missing
     joints = bag.joints or description.joints
     where = f"{path}: topic{'s' * (len(bag.topics) > 1)} {', '.join(map(repr, bag.topics))}"
     messages = list(_read_messages(path, bag.topics))

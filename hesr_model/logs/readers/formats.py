@@ -5,6 +5,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,13 +20,44 @@ from hesr_model.support import plugins
 from hesr_model.support.arrays import Array
 
 GROUP = "hesr.logs"
+_MIN_COMMON_SHARE = 0.5  # of rows with numbers of two columns; fewer are rows of several topics
 
 
 def read_samples(table: LogTable, description: RobotDescription) -> LogSamples:
     """Read the columns of the robot file; errors as `Log.read`."""
+    try:
+        return _read_columns(table, description)
+    except LogError as error:
+        if error.code == "log.finite" and not description.log.allows_missing:
+            _require_common_rows(table, description)
+        raise
+
+
+def _require_common_rows(table: LogTable, description: RobotDescription) -> None:
+    """Raise LogError if columns have numbers in different rows, as those of several topics."""
+    log_format = description.log.model_copy(update={"missing": "drop"})
+    _read_columns(table, description.model_copy(update={"log": log_format}))
+    names = sorted(table.used - {description.log.columns.time_name}, key=table.names.index)
+    is_known = np.isfinite(table.numbers(names, missing=True))
+    counts = is_known.sum(axis=0)
+    slowest = int(np.argmin(counts))
+    common_counts = is_known[is_known[:, slowest]].sum(axis=0)
+    other = int(np.argmin(common_counts))
+    if common_counts[other] < _MIN_COMMON_SHARE * counts[slowest]:
+        raise LogError(
+            f"{table.path}: columns '{names[slowest]}' and '{names[other]}' have {counts[slowest]} "
+            f"and {counts[other]} numbers, {common_counts[other]} of them in the same rows; [log] "
+            "missing = 'interpolate' interpolates between them.",
+            code="log.staggered",
+            where=table.path,
+            key=names[other],
+        )
+
+
+def _read_columns(table: LogTable, description: RobotDescription) -> LogSamples:
     log_format = description.log
     columns = description.log.columns
-    allows_missing = log_format.missing == "drop"
+    allows_missing = log_format.allows_missing
     if log_format.rate and columns.time_name not in table.names:
         t = (table.rows_before + np.arange(table.rows)) / log_format.rate
         time = f"rate {log_format.rate:g} Hz"
@@ -37,6 +69,9 @@ def read_samples(table: LogTable, description: RobotDescription) -> LogSamples:
     q = _read_joints(table, columns.q, description) if columns.q else None
     dq = _read_joints(table, columns.dq, description) if columns.dq else None
     effort, is_current = _read_effort(table, description)
+    optional: dict[str, Any] = {
+        quantity: _read_optional(table, quantity, description) for quantity in OPTIONAL
+    }
     return LogSamples(
         t=t,
         q=q,
@@ -47,7 +82,7 @@ def read_samples(table: LogTable, description: RobotDescription) -> LogSamples:
         place=lambda k: f"row {table.row(k)}",
         q_link=_read_joints(table, columns.q_link, description) if columns.q_link else None,
         current_size=_read_current_size(table, description),
-        **{quantity: _read_optional(table, quantity, description) for quantity in OPTIONAL},
+        **optional,
     )
 
 
@@ -75,7 +110,7 @@ def _read_joints(table: LogTable, columns: Columns, description: RobotDescriptio
                 key=names[column_count],
             )
     return table.numbers(
-        column_names(columns, description.joints), missing=description.log.missing == "drop"
+        column_names(columns, description.joints), missing=description.log.allows_missing
     )
 
 
@@ -102,7 +137,7 @@ def _read_effort(table: LogTable, description: RobotDescription) -> tuple[Array,
     gains = description.log.torque_per_ampere
     if description.log.cylinder is not None:
         names = [name for pair in description.log.cylinder.pressures for name in pair]
-        return table.numbers(names, missing=description.log.missing == "drop"), False
+        return table.numbers(names, missing=description.log.allows_missing), False
     torque_name = column_names(columns.tau, description.joints)[0]
     current_name = column_names(columns.current, description.joints)[0]
     # Currents without a sign are no torques, though their columns may be named so.
@@ -166,7 +201,8 @@ def table_format(
     """Return the format of tables with named columns in files of some suffixes, or of any."""
 
     def open_table(path: Path, log_format: LogFormat) -> LogTable:
-        return table(path, log_format).rename_columns(log_format.columns.names)
+        renamed_table = table(path, log_format).rename_columns(log_format.columns.names)
+        return renamed_table.hide_empty_columns()
 
     return FileFormat(
         name=name,
