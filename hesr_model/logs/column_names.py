@@ -72,6 +72,8 @@ _LETTERS: Mapping[str, str] = {
     **dict.fromkeys("vwn", "dq"),
     **dict.fromkeys("mf", "tau"),
 }  # Symbols of textbooks, if nothing else is in a name
+# Words of data sets for the learning of motions (LeRobot), of robots that follow positions.
+_DATA_SET_WORDS = {("observation", "state"): "q", ("action",): "q_cmd"}
 _AXIS_SYMBOLS = {"iq": "current", "vq": "dq"}  # 'v_q' may be the voltage of the q axis
 _IGNORED_SYMBOLS = _split_words("id vd ud uq")
 # Words of other scripts, which have no spaces; longer ones first.
@@ -211,6 +213,8 @@ def read_name(name: str) -> list[Reading]:
     readings = _read_words(tokens)
     if not readings and len(tokens) == 1 and tokens[0] in _LETTERS:
         readings = [Reading(_LETTERS[tokens[0]], BY_LETTER)]
+    if tuple(tokens) in _DATA_SET_WORDS:
+        readings = [Reading(_DATA_SET_WORDS[tuple(tokens)], BY_OTHER_WORD)]
     if unit is not None:
         readings = [Reading(unit[0], BY_UNIT, unit[1])] if unit[0] != "t" else []
     is_command = not _COMMAND_WORDS.isdisjoint(tokens) or _ends_as_desired(tokens)

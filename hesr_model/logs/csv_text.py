@@ -23,6 +23,7 @@ from typing import Any, BinaryIO, TextIO
 import numpy as np
 
 from hesr_model.errors import LogError
+from hesr_model.logs.json_records import convert_records, is_json
 from hesr_model.logs.log_table import (
     LogTable,
     TextCell,
@@ -169,6 +170,11 @@ def _read_content(path: Path) -> bytes | None:
 
 def _find_dialect(path: Path, content: bytes | None, names: Sequence[str]) -> _Dialect:
     try:
+        with _open_text(path, content) as file:
+            if is_json(file.buffer.read(_START_BYTES)):
+                file.seek(0)
+                json_names, rows = convert_records(path, file.read())
+                return _Dialect(path, rows, json_names, ",", ".", header_line=0, first_line=1)
         with _open_text(path, content) as file:
             numbered_lines = (
                 (k, line.strip(" \r\n")) for k, line in enumerate(_read_lines(file), start=1)

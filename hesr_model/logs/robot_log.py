@@ -27,6 +27,7 @@ _RATE_MARGIN = 1.25
 _COUNTER_SIZES = (2.0**8, 1e3, 2.0**16, 1e6, 2.0**24, 1e9, 2.0**31, 2.0**32)  # of time stamps
 _CLOCK_SIZES = (60.0, 3600.0, 43_200.0, 86_400.0)  # [s] after which a clock shows the same time
 _SPREAD_REMEDY = "[log] duplicates = 'spread' spreads such rows evenly"
+_EPISODES = "episode_index"  # column of a data set whose stamps begin again with each episode
 _MIN_CHANGED_SHARE = 0.5  # of rows with a repeated stamp, if they are samples of their own
 _MIN_TWIST = 1e-12
 _MAX_TWIST = 0.1  # of a gear [rad], and over the joint's motion
@@ -517,7 +518,7 @@ def _find_time_remedy(log: Log, k: int) -> str:
         if has_bursts(log.t) and _changes_at_repeats(log):
             return _SPREAD_REMEDY
         return "[log] duplicates = 'first' leaves out rows that repeat a time stamp"
-    wrap = _find_wrap(log)
+    wrap = None if _EPISODES in log.left_over else _find_wrap(log)
     if wrap is not None:
         return f"[log] wrap = {wrap:.10g} lets a counter of that size go on"
     if step_back > 0.5 * float(log.t[k - 1] - log.t[0]):

@@ -15,6 +15,7 @@ from hesr_model.support.arrays import Array
 from hesr_model.support.child_main import Item
 
 _BATCH_ROWS = 2**16  # rows read at once
+_MAX_LIST_LENGTH = 1000  # entries of lists in cells; longer ones are images
 _NOT_A_TIME = np.iinfo(np.int64).min  # NumPy's NaT
 
 
@@ -34,8 +35,35 @@ def parse_pieces(path: Path, *, kind: str, max_rows: int) -> Iterator[Item]:
 
 
 def _build_item(table: Any) -> Item:
-    columns = ((name, _to_array(table.column(k))) for k, name in enumerate(table.column_names))
+    columns: list[tuple[str, Array | TextCell]] = []
+    for k, name in enumerate(table.column_names):
+        columns += _expand_column(name, table.column(k))
     return build_item(columns, row_count=table.num_rows)
+
+
+def _expand_column(name: str, cells: Any) -> Iterator[tuple[str, Array | TextCell]]:
+    """Yield a column for each entry of lists of one length and each field of structs."""
+    import pyarrow as pa
+    import pyarrow.compute
+
+    kind = cells.type
+    if pa.types.is_struct(kind):
+        for field in kind:
+            yield from _expand_column(
+                f"{name}.{field.name}", pa.compute.struct_field(cells, field.name)
+            )
+    elif (
+        pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind)
+    ):
+        lengths = pa.compute.min_max(pa.compute.list_value_length(cells)).as_py()
+        shortest, longest = lengths["min"] or 0, lengths["max"] or 0
+        if not 0 < shortest == longest <= _MAX_LIST_LENGTH:
+            yield name, TextCell(index=0, text=f"lists of {shortest} to {longest} values")
+            return
+        for k in range(longest):
+            yield from _expand_column(f"{name}_{k + 1}", pa.compute.list_element(cells, k))
+    else:
+        yield name, _to_array(cells)
 
 
 def _to_array(cells: Any) -> Array | TextCell:

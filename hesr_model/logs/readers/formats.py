@@ -82,6 +82,9 @@ def _read_columns(table: LogTable, description: RobotDescription) -> LogSamples:
         place=lambda k: f"row {table.row(k)}",
         q_link=_read_joints(table, columns.q_link, description) if columns.q_link else None,
         current_size=_read_current_size(table, description),
+        left_over=tuple(
+            name for name in (*table.names, *table.other_names) if name not in table.used
+        ),
         **optional,
     )
 
