@@ -360,7 +360,9 @@ def _report_gaps(long_log: LongLog) -> list[Finding]:
 
     if not long_log.gaps:
         return []
-    gaps = report_gaps(long_log.gaps, long_log.longest_step, len(long_log.starts))
+    gaps = report_gaps(
+        long_log.gaps, long_log.longest_step, len(long_log.starts), long_log.short_rows
+    )
     return log_findings(state(add_log_name(long_log.checked_pieces[0], [gaps])))
 
 

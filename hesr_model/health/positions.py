@@ -15,7 +15,7 @@ from hesr_model.health.referee import Estimate, Hypothesis, Statistic
 from hesr_model.logs.column_names import is_of_motor
 from hesr_model.logs.log_format import column_names
 from hesr_model.logs.rest import MOVING_SHARE, find_travelling
-from hesr_model.logs.robot_log import Log
+from hesr_model.logs.robot_log import SHORTEST_PART, Log
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.arrays import Array, Integers
 from hesr_model.support.text import count_noun
@@ -57,7 +57,9 @@ def check_time(log: Log, description: RobotDescription) -> Iterator[Hypothesis]:
         yield _doubt_unit_of_time(period, description)
         return
     if len(log.gaps):
-        yield report_gaps(len(log.gaps), float(np.max(steps)), len(log.parts()))
+        parts = log.parts()
+        short_rows = len(log.t) - sum(len(part.t) for part in parts)
+        yield report_gaps(len(log.gaps), float(np.max(steps)), len(parts), short_rows)
     if loses_rows(log):
         share = compute_share_of_long_steps(log)
         yield Hypothesis(
@@ -105,15 +107,23 @@ def _doubt_unit_of_time(period: float, description: RobotDescription) -> Hypothe
     )
 
 
-def report_gaps(count: int, longest: float, parts: int) -> Hypothesis:
-    """Return the observation of gaps up to `longest` [s] between usable parts."""
+def report_gaps(count: int, longest: float, parts: int, short_rows: int) -> Hypothesis:
+    """Return the observation of gaps up to `longest` [s] between usable parts.
+
+    `short_rows` is the number of rows of the other parts, which are left out.
+    """
+    observation = f"{count_noun(count, 'gap')}, the longest of {longest:.3g} s"
+    if short_rows:
+        observation += (
+            f", {short_rows} rows in parts shorter than {SHORTEST_PART:g} s are left out"
+        )
     consequence = "only one of its parts is long enough to use"
     if parts > 1:
         consequence = f"its {parts} parts are filtered and fitted separately"
     return Hypothesis(
         check="gaps",
         joint="",
-        observation=f"{count_noun(count, 'gap')}, the longest of {longest:.3g} s",
+        observation=observation,
         remedy=f"rows are missing; {consequence}",
         severity="warning",
     )

@@ -37,6 +37,7 @@ from hesr_model.health.torque import TorqueFits
 from hesr_model.health.velocity import match_velocity
 from hesr_model.logs.csv_text import HeaderError
 from hesr_model.logs.guess import guess_columns
+from hesr_model.logs.left_over import report_left_over
 from hesr_model.logs.log_format import OPTIONAL, LogFormat
 from hesr_model.logs.log_table import LogTable
 from hesr_model.logs.readers.formats import find_format
@@ -179,7 +180,8 @@ def propose(paths: Sequence[Path], description: RobotDescription, *, has_model: 
         prismatic_joints = frozenset(np.flatnonzero(Robot(description).slides).tolist())
     findings = attempt.examination.findings
     remaining_findings = tuple(search.withdraw_changes(finding, attempt) for finding in findings)
-    examination = replace(attempt.examination, findings=remaining_findings)
+    left_over = tuple(finding for log in attempt.logs for finding in report_left_over(log))
+    examination = replace(attempt.examination, findings=remaining_findings + left_over)
     return Proposal(
         description=description,
         reasons=search.reasons,

@@ -48,7 +48,7 @@ def spread_bursts(t: Array) -> Array:
         return np.asarray(even)
     spacings = durations / counts[1:]
     usual_spacing = float(np.median(spacings))
-    spacings = np.minimum(spacings, _MAX_SPACING * usual_spacing)
+    spacings[spacings > _MAX_SPACING * usual_spacing] = usual_spacing
     spacing_of_row = np.repeat(np.concatenate([[usual_spacing], spacings]), counts)
     end_of_row = np.repeat(ends, counts)
     return np.asarray(t[end_of_row] - (end_of_row - rows) * spacing_of_row)

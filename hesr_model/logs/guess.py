@@ -28,7 +28,7 @@ from hesr_model.logs.column_names import (
     split_tokens,
 )
 from hesr_model.logs.kinematics import DerivativeMatch, match_derivative
-from hesr_model.logs.log_table import LogTable, is_seconds_and_fraction
+from hesr_model.logs.log_table import LogTable, TextCell, is_seconds_and_fraction
 from hesr_model.support.arrays import Array
 from hesr_model.units import COMMON_UNITS, find_si_factor
 
@@ -37,6 +37,7 @@ _PLAUSIBLE_RATES = (5.0, 20_000.0)  # plausible sample rates [Hz]
 _MAX_CANDIDATES = 8  # of a quantity that are tried
 _MAX_LOG_RATIO = 0.1  # of a derivative and a velocity in the units of their names
 _QUANTITIES = ("temperature", "dq", "q", "tau", "current")
+_MAX_FAULTS = 2  # columns named like time whose faults a refusal tells
 _MIN_BURSTS = 20  # stamps that tell a column of time with repeated stamps
 _SUPPLY_WORDS = frozenset(("id", "bus", "supply", "dc", "battery", "input"))
 
@@ -373,9 +374,10 @@ def _find_time(table: LogTable) -> str | tuple[str, str]:
     rising_names = [name for name in time_names if _rises(table, name)]
     rising_names = rising_names or [name for name in time_names if _rises_in_bursts(table, name)]
     if not rising_names:
+        faults = [_describe_time(table, name) for name in time_names[:_MAX_FAULTS]]
         raise LogError(
-            f"{table.path}: no column looks like time; it has {table.listing}; name it under "
-            "'log.columns.t' of a robot file, or state 'log.rate' [Hz].",
+            f"{table.path}: no column looks like time{''.join(faults)}; it has {table.listing}; "
+            "name it under 'log.columns.t' of a robot file, or state 'log.rate' [Hz].",
             code="log.no_time",
             where=table.path,
             key="log.columns.t",
@@ -431,6 +433,13 @@ def _rises(table: LogTable, name: str | tuple[str, str]) -> bool:
         return False
     steps = np.diff(stamps[np.isfinite(stamps)])
     return len(steps) > 1 and bool(np.mean(steps > 0) > 0.9)
+
+
+def _describe_time(table: LogTable, name: str) -> str:
+    """Return why a column that is named like time is none."""
+    cells = table.arrays(table.names.index(name))
+    fault = f"holds {cells.text!r}" if isinstance(cells, TextCell) else "does not rise"
+    return f", '{name}' {fault}"
 
 
 def _rises_in_bursts(table: LogTable, name: str) -> bool:

@@ -108,8 +108,7 @@ class LogTable:
         """Return the names that resemble missing ones, for the end of a message."""
         close_names: dict[str, None] = {}
         for name in missing:
-            same_kind = [other for other in self.names if _may_be_same(name, other)]
-            close_names |= dict.fromkeys(find_close_names(name, same_kind, 1, _MIN_NAME_SIMILARITY))
+            close_names |= dict.fromkeys(find_same_kind(name, self.names))
         suggestion = format_suggestion(list(close_names))
         return f"; {suggestion.removesuffix('?')}" if suggestion else ""
 
@@ -207,6 +206,12 @@ class LogTable:
                 key=name,
             )
         return values
+
+
+def find_same_kind(name: str, candidates: Sequence[str]) -> list[str]:
+    """Return the candidate that resembles a name most, if it may be of the same quantity."""
+    same_kind = [candidate for candidate in candidates if _may_be_same(name, candidate)]
+    return find_close_names(name, same_kind, 1, _MIN_NAME_SIMILARITY)
 
 
 def _may_be_same(name: str, other: str) -> bool:

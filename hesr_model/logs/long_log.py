@@ -82,7 +82,8 @@ class LongLog:
     """A log that is read in pieces of at most `rows` rows, several times; errors as `Log.read`.
 
     Formats that cannot be read in pieces are held in memory. `checked_pieces` are up to eight of
-    the pieces, without `gaps`; `travel` (n,) is the range of the positions [rad, m].
+    the pieces, without `gaps`; `travel` (n,) is the range of the positions [rad, m], `short_rows`
+    the number of rows in parts that are too short to use.
     """
 
     def __init__(
@@ -138,6 +139,8 @@ class LongLog:
         ]
         if not self._parts:
             raise robot_log.no_parts_error(self._where, len(parts) - 1, longest)
+        used_rows = sum(part.last - part.first for part in self._parts)
+        self.short_rows = sum(part.last - part.first for part in parts) - used_rows
         for part in self._parts:
             cutoff = description.log.filter_cutoff
             part.grid.require_filter(self._where, part.last - part.first, cutoff)

@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from containing import Containing
 
 from hesr_model.errors import LogError
+from hesr_model.logs.left_over import report_left_over
 from hesr_model.logs.log_format import LogBag, LogColumns, LogFormat, LogUnits
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import RobotDescription
@@ -347,3 +349,27 @@ def test_without_rosbags_the_install_command_is_given(
     message = r"run\.mcap: reading a ROS bag needs"
     with pytest.raises(LogError, match=message):
         Log.read(tmp_path / "run.mcap", robot())
+
+
+def test_topics_and_joints_of_a_bag_are_left_over(tmp_path: Path) -> None:
+    states = [message(k, (*JOINTS, "gripper")) for k in range(N)]
+    topics = {"/joint_states": states, "/other_states": states, "/tf": states}
+    log = Log.read(write_topics(tmp_path / "bag", topics), robot())
+    require_content(log)
+    assert log.left_over == ("/other_states", "/tf", "/note", "gripper")
+    (finding,) = report_left_over(log)
+    assert finding.found == Containing("3 items ", "'/other_states', '/note', 'gripper'")
+
+
+def test_rows_of_a_bag_that_are_left_out_have_causes(tmp_path: Path) -> None:
+    states = [message(k, JOINTS[:1] if k in (4, 9, 17) else JOINTS) for k in range(N)]
+    log = Log.read(write(tmp_path / "some", states), robot())
+    assert log.left_out == {"list only some of the joints": 3}
+    # One joint a message: the last 20 rows of the one have none of the other.
+    states = [message(k, JOINTS[k % 2 : k % 2 + 1]) for k in range(30)]
+    states += [message(k, JOINTS[:1]) for k in range(30, N)]
+    log = Log.read(write(tmp_path / "turns", states), robot())
+    ((cause, count),) = log.left_out.items()
+    assert cause == Containing("after the messages of other joints")
+    assert 15 <= count <= 20
+    assert log.dropped == count

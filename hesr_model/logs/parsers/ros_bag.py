@@ -16,7 +16,7 @@ from hesr_model.logs.parsers.items import build_item
 from hesr_model.support.child_main import Item
 from hesr_model.support.text import on_one_line
 
-_TYPE = "sensor_msgs/msg/JointState"
+JOINT_STATE = "sensor_msgs/msg/JointState"
 _BATCH_MESSAGES = 50_000  # of an item
 _FIELDS = ("position", "velocity", "effort")
 
@@ -29,6 +29,9 @@ def parse(path: Path, *, shown: str, topics: Sequence[str]) -> Iterator[Item]:
     try:
         # bags older than ROS 2 Iron lack definitions
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
+            # A first item without messages lists the topics.
+            topic_types = {(c.topic, c.msgtype) for c in reader.connections}
+            yield build_item([], names=sorted(map(list, topic_types)))
             connections = [c for topic in topics for c in _find_connections(shown, reader, topic)]
             states = (
                 reader.deserialize(raw, connection.msgtype)
@@ -65,9 +68,11 @@ def _build_item(states: Sequence[Any]) -> Item:
 def _find_connections(path: str, reader: Any, topic: str) -> list[Any]:
     connections = [c for c in reader.connections if c.topic == topic]
     if not connections:
-        states = sorted({c.topic for c in reader.connections if c.msgtype == _TYPE})
+        states = sorted({c.topic for c in reader.connections if c.msgtype == JOINT_STATE})
         topic_list = (
-            f"topics of joint states are {', '.join(states)}" if states else f"none is {_TYPE}"
+            f"topics of joint states are {', '.join(states)}"
+            if states
+            else f"none is {JOINT_STATE}"
         )
         raise LogError(
             f"{path}: has no topic '{topic}'; {topic_list}; name one under 'log.bag.topic' of the "
@@ -77,9 +82,10 @@ def _find_connections(path: str, reader: Any, topic: str) -> list[Any]:
             key="log.bag.topic",
         )
     for connection in connections:
-        if connection.msgtype != _TYPE:
+        if connection.msgtype != JOINT_STATE:
             raise LogError(
-                f"{path}: topic '{topic}' has messages {connection.msgtype}; expected {_TYPE}.",
+                f"{path}: topic '{topic}' has messages {connection.msgtype}; expected "
+                f"{JOINT_STATE}.",
                 code="bag.type",
                 where=path,
                 key="log.bag.topic",

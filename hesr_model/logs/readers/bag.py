@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 
 from hesr_model.errors import LogError
 from hesr_model.logs.parsed_file import ParsedItem, has_module, parse_file
-from hesr_model.logs.readers.samples import LogSamples
+from hesr_model.logs.parsers.ros_bag import JOINT_STATE
+from hesr_model.logs.readers.samples import LogSamples, count_outside
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.arrays import Array
 from hesr_model.support.child import INVALID_ANSWER
 from hesr_model.support.extras import install_command
 from hesr_model.support.files import scratch_folder
+from hesr_model.support.ledger import find_close_names, format_suggestion
 from hesr_model.support.text import quote
 
 FIELDS = ("position", "velocity", "effort")
@@ -99,22 +101,21 @@ def read_bag(path: Path, description: RobotDescription) -> LogSamples:
     Joints that no message lists together are interpolated at the stamps of the slowest one.
     """
     bag = description.log.bag
-    allows_missing = description.log.allows_missing
     joints = bag.joints or description.joints
     where = f"{path}: topic{'s' * (len(bag.topics) > 1)} {', '.join(map(repr, bag.topics))}"
-    messages = list(_read_messages(path, bag.topics))
-    shared_messages = [message for message in messages if set(joints) <= set(message.state.name)]
-    groups = (
-        {joints: shared_messages} if shared_messages else _group_messages(where, joints, messages)
-    )
-    joint_series = [
-        _Series.from_messages(where, *group, allows_missing=allows_missing)
-        for group in groups.items()
-    ]
+    recording = _read_messages(path, bag.topics)
+    messages = recording.messages
+    groups = _group_messages(where, joints, messages)
+    joint_series = []
+    for group_joints, group in groups.items():
+        joint_series.append(
+            _Series.from_messages(
+                where, group_joints, group, allows_missing=description.log.allows_missing
+            )
+        )
     slowest_series = min(joint_series, key=lambda series: len(series.messages))
-    rows = np.flatnonzero(
-        np.logical_and.reduce([series.covers(slowest_series.t) for series in joint_series])
-    )
+    is_covered = [series.covers(slowest_series.t) for series in joint_series]
+    rows = np.flatnonzero(np.logical_and.reduce(is_covered))
     if not len(rows):
         raise LogError(
             f"{where}: the messages of the joints do not overlap in time.",
@@ -122,32 +123,45 @@ def read_bag(path: Path, description: RobotDescription) -> LogSamples:
             where=where,
         )
     t = slowest_series.t[rows]
-    q, dq, effort = (_join_series(joint_series, field, t) for field in FIELDS)
-    if effort is None:
+    fields = {field: _join_series(joint_series, field, t) for field in FIELDS}
+    q, effort = _require_fields(where, fields)
+    dq = fields["velocity"] if description.log.columns.dq else None
+    if description.log.columns.dq and dq is None:
+        _log.warning("%s: has no velocity; it is derived from the position.", where)
+    all_joints = _list_joints(messages)
+    return LogSamples(
+        t=(t - t[0]) * 1e-9,
+        q=q,
+        dq=dq,
+        effort=effort,
+        is_current=bag.effort == "current",
+        time=where.removeprefix(f"{path}: "),
+        place=lambda k: f"message {slowest_series.messages[rows[k]].number}",
+        left_out=_count_left_out(messages, groups, joint_series, slowest_series, len(rows)),
+        left_over=(
+            *recording.other_topics,
+            *(joint for joint in all_joints if joint not in joints),
+        ),
+    )
+
+
+def _require_fields(where: str, fields: Mapping[str, Array | None]) -> tuple[Array, Array]:
+    """Return positions and efforts (N, n); raises LogError if messages lack one."""
+    if fields["effort"] is None:
         raise LogError(
             f"{where}: its messages have no effort; record torques or currents as effort.",
             code="bag.effort",
             where=where,
             key="effort",
         )
-    if q is None:
+    if fields["position"] is None:
         raise LogError(
             f"{where}: its messages have no position; positions are needed.",
             code="bag.position",
             where=where,
             key="position",
         )
-    if description.log.columns.dq and dq is None:
-        _log.warning("%s: has no velocity; it is derived from the position.", where)
-    return LogSamples(
-        t=(t - t[0]) * 1e-9,
-        q=q,
-        dq=dq if description.log.columns.dq else None,
-        effort=effort,
-        is_current=bag.effort == "current",
-        time=where.removeprefix(f"{path}: "),
-        place=lambda k: f"message {slowest_series.messages[rows[k]].number}",
-    )
+    return fields["position"], fields["effort"]
 
 
 class _JointState(NamedTuple):
@@ -161,6 +175,11 @@ class _Message(NamedTuple):
     number: int  # from 1
     stamp: int  # [ns]
     state: _JointState
+
+
+class _Recording(NamedTuple):
+    messages: list[_Message]
+    other_topics: list[str]  # those of joint states first
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -227,17 +246,22 @@ class _Series:
 def _group_messages(
     where: str, joints: Sequence[str], messages: Sequence[_Message]
 ) -> dict[tuple[str, ...], Sequence[_Message]]:
-    """Return the messages of each joint."""
+    """Return the messages of all joints together, or of each joint; raises LogError."""
     if not messages:
         raise LogError(f"{where}: has no messages.", code="bag.empty", where=where)
-    bag_joints = dict.fromkeys(name for message in messages for name in message.state.name)
+    shared_messages = [message for message in messages if set(joints) <= set(message.state.name)]
+    if shared_messages:
+        return {tuple(joints): shared_messages}
     groups: dict[tuple[str, ...], Sequence[_Message]] = {}
     for joint in joints:
         groups[joint,] = [message for message in messages if joint in message.state.name]
         if not groups[joint,]:
+            all_joints = _list_joints(messages)
+            suggestion = format_suggestion(find_close_names(joint, all_joints))
             raise LogError(
-                f"{where}: has no joint '{joint}'; its messages list {', '.join(bag_joints)}; map "
-                "names under 'log.bag.joints' of the robot file.",
+                f"{where}: has no joint '{joint}'; its messages list {', '.join(all_joints)}; map "
+                f"names under 'log.bag.joints' of the robot file{'; ' if suggestion else ''}"
+                f"{suggestion.removesuffix('?')}.",
                 code="bag.joint",
                 where=where,
                 key="log.bag.joints",
@@ -245,13 +269,38 @@ def _group_messages(
     return groups
 
 
+def _list_joints(messages: Sequence[_Message]) -> list[str]:
+    return list(dict.fromkeys(name for message in messages for name in message.state.name))
+
+
+def _count_left_out(
+    messages: Sequence[_Message],
+    groups: Mapping[tuple[str, ...], Sequence[_Message]],
+    joint_series: Sequence[_Series],
+    slowest_series: _Series,
+    row_count: int,
+) -> dict[str, int]:
+    """Return the numbers of messages of the joints that give no row, by cause."""
+    left_out: dict[str, int] = {}
+    if len(groups) == 1:
+        ((joints, shared_messages),) = groups.items()
+        listing = [
+            message for message in messages if not set(joints).isdisjoint(message.state.name)
+        ]
+        left_out["list only some of the joints"] = len(listing) - len(shared_messages)
+    uncovered_count = len(slowest_series.t) - row_count
+    left_out["have no messages of the other joints near them"] = uncovered_count
+    left_out["lie before or after the messages of other joints"] = max(
+        count_outside(series.t, slowest_series.t) for series in joint_series
+    )
+    return {cause: count for cause, count in left_out.items() if count}
+
+
 def _join_series(joint_series: Sequence[_Series], field: str, t: NDArray[np.int64]) -> Array | None:
-    columns = [
-        column
-        for column in [series.interpolate(field, t) for series in joint_series]
-        if column is not None
-    ]
-    return np.column_stack(columns) if len(columns) == len(joint_series) else None
+    """Return a field of all joints at times [ns], or None if some joints lack it."""
+    columns = [series.interpolate(field, t) for series in joint_series]
+    known_columns = [column for column in columns if column is not None]
+    return np.column_stack(known_columns) if len(known_columns) == len(columns) else None
 
 
 def _require_plain_files(path: Path) -> None:
@@ -267,7 +316,7 @@ def _require_plain_files(path: Path) -> None:
             )
 
 
-def _read_messages(path: Path, topics: Sequence[str]) -> Iterator[_Message]:
+def _read_messages(path: Path, topics: Sequence[str]) -> _Recording:
     if not (path.is_file() or path.is_dir()):  # a pipe may have no end
         raise LogError(f"{path}: no such log file.", code="file.missing", where=path)
     if path.is_dir() and not (path / "metadata.yaml").is_file():
@@ -290,18 +339,27 @@ def _read_messages(path: Path, topics: Sequence[str]) -> Iterator[_Message]:
         items = parse_file(
             complete_path, "a ROS bag", "ros_bag:parse", ["rosbags.highlevel"], options
         )
-        number = 0
+        recording = _Recording([], [])
         for item in items:
             try:
-                messages = list(_list_messages(item, number))
+                if not item.columns:
+                    recording.other_topics.extend(_list_other_topics(item, topics))
+                    continue
+                messages = _list_messages(item, len(recording.messages))
+                recording.messages.extend(messages)
             except (KeyError, ValueError, IndexError, TypeError) as error:
                 raise LogError(
                     f"{path}: cannot be read as a ROS bag (its reader {INVALID_ANSWER}).",
                     code="file.unreadable",
                     where=path,
                 ) from error
-            number += len(messages)
-            yield from messages
+    return recording
+
+
+def _list_other_topics(item: ParsedItem, topics: Sequence[str]) -> list[str]:
+    """Return the topics that are not read, those of joint states first; ValueError if invalid."""
+    others = [(kind, topic) for topic, kind in item.names if topic not in topics]
+    return [topic for _, topic in sorted(others, key=lambda pair: pair[0] != JOINT_STATE)]
 
 
 def _list_messages(item: ParsedItem, number: int) -> Iterator[_Message]:

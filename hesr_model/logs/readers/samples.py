@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hesr_model.logs.bursts import spread_bursts
 from hesr_model.logs.log_format import LogFormat
@@ -99,7 +100,13 @@ class LogSamples:
         columns = np.column_stack(list(arrays.values()))
         is_known = np.isfinite(columns) & np.isfinite(self.t)[:, None]
         rows = np.flatnonzero(is_known[:, np.argmin(is_known.sum(axis=0))])
-        samples = replace(select_rows(self, rows), place=lambda k: self.place(int(rows[k])))
+        outside = count_outside(self.t, self.t[rows])
+        left_out = {"lie before or after the numbers of the slowest column": outside}
+        samples = replace(
+            select_rows(self, rows),
+            place=lambda k: self.place(int(rows[k])),
+            left_out={**self.left_out, **(left_out if outside else {})},
+        )
         filled: dict[str, Any] = {}
         for name, values in arrays.items():
             if name != "t":
@@ -108,6 +115,14 @@ class LogSamples:
                 filled[name] = np.column_stack(filled_columns).reshape(len(rows), *values.shape[1:])
         changed: LogSamples = replace(samples, **filled)
         return changed
+
+
+def count_outside(stamps: NDArray[Any], times: NDArray[Any]) -> int:
+    """Return how many stamps lie before or after `times`, by more than two of their usual steps."""
+    if len(times) < 2:
+        return 0
+    margin = 2.0 * float(np.median(np.abs(np.diff(times))))
+    return int(np.sum((stamps < times.min() - margin) | (stamps > times.max() + margin)))
 
 
 def _interpolate(t: Array, column: Array, times: Array) -> Array:
