@@ -27,8 +27,8 @@ def has_bursts(t: Array) -> bool:
 
 def find_period(t: Array) -> float:
     """Return the median time [s] between rows, of bursts the mean."""
-    steps = np.diff(t)
-    return float(np.mean(steps) if has_bursts(t) else np.median(steps))
+    summarise = np.mean if has_bursts(t) else np.median
+    return float(summarise(np.diff(t)))
 
 
 def spread_bursts(t: Array) -> Array:

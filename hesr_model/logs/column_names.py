@@ -130,7 +130,9 @@ _UNITS: Mapping[str, Mapping[str, UnitSize]] = {
     ),
 }  # fmt: skip
 """Spellings of units in lower case, by quantity; those of other quantities belong to ''."""
-_QUANTITY_OF_UNIT = {text: quantity for quantity, texts in _UNITS.items() for text in texts}
+_QUANTITY_OF_UNIT: dict[str, str] = {}
+for _quantity, _spellings in _UNITS.items():
+    _QUANTITY_OF_UNIT |= dict.fromkeys(_spellings, _quantity)
 # Ends of the names of two columns that are one time: whole seconds, and what has passed since.
 FRACTION_ENDINGS = {
     "ns": ("nanosec", "nanosecs", "nanoseconds", "nsec", "nsecs", "ns"),
@@ -216,7 +218,9 @@ def read_name(name: str) -> list[Reading]:
     if tuple(tokens) in _DATA_SET_WORDS:
         readings = [Reading(_DATA_SET_WORDS[tuple(tokens)], BY_OTHER_WORD)]
     if unit is not None:
-        readings = [Reading(unit[0], BY_UNIT, unit[1])] if unit[0] != "t" else []
+        readings = [Reading(unit[0], BY_UNIT, unit[1])]
+    if unit is not None and unit[0] == "t":
+        readings = []
     is_command = not _COMMAND_WORDS.isdisjoint(tokens) or _ends_as_desired(tokens)
     if not is_command:
         return readings

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain, islice
+from itertools import chain, islice, product
 from pathlib import Path
 from typing import Any, BinaryIO, TextIO
 
@@ -120,7 +120,9 @@ class _Dialect:
 
 
 def _open_text(path: Path, content: bytes | None, newline: str | None = None) -> TextIO:
-    file: BinaryIO = path.open("rb") if content is None else io.BytesIO(content)
+    file: BinaryIO = io.BytesIO(content or b"")
+    if content is None:
+        file = path.open("rb")
     return io.TextIOWrapper(file, encoding="utf-8-sig", newline=newline)
 
 
@@ -128,44 +130,59 @@ def _read_content(path: Path) -> bytes | None:
     """Return packed text, or text that is not UTF-8, as UTF-8; None for any other file."""
     with path.open("rb") as file:
         start = file.read(_START_BYTES)
-        content = None
-    open_packed = next(
-        (opener for magic, opener in _UNPACKERS.items() if start.startswith(magic)), None
-    )
-    if open_packed:
-        _require_length(path, path.stat().st_size)
-        try:
-            with open_packed(path) as packed:
-                content = packed.read(compute_max_bytes(path) + 1)
-        except (OSError, EOFError, zlib.error, lzma.LZMAError) as error:
-            raise LogError(
-                f"{path}: cannot be unpacked; it is truncated or damaged, so copy or record it "
-                "again.",
-                code="file.unreadable",
-                where=path,
-            ) from error
-        if len(content) > compute_max_bytes(path):
-            raise LogError(
-                f"{path}: unpacks to more than {compute_max_bytes(path) / 1e6:.0f} MB.",
-                code="log.too_large",
-                where=path,
-            )
-        start = content[:_START_BYTES]
-    has_mark = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    encoding_by_start = {b"\1\0\1\0": "utf-16-le", b"\0\1\0\1": "utf-16-be"}
-    encoding = "utf-16" if has_mark else encoding_by_start.get(bytes(map(bool, start[:4])))
-    if not encoding:
-        try:
-            codecs.getincrementaldecoder("utf-8")().decode(start)
-        except UnicodeDecodeError:  # a degree sign of Windows
-            encoding = None if _CONTROL_BYTES.search(start) else "cp1252"
+    content = None
+    for magic, open_packed in _UNPACKERS.items():
+        if start.startswith(magic):
+            content = _unpack(path, open_packed)
+            start = content[:_START_BYTES]
+            break
+    encoding = _find_encoding(start)
     if not encoding:
         return content
     _require_length(path, path.stat().st_size)
+    if content is None:
+        content = path.read_bytes()
     try:
-        return (path.read_bytes() if content is None else content).decode(encoding).encode()
+        return content.decode(encoding).encode()
     except UnicodeDecodeError as error:
         raise _build_csv_error(path) from error
+
+
+def _unpack(path: Path, open_packed: Callable[[Path], io.BufferedIOBase]) -> bytes:
+    """Return the content of a packed file; raises LogError."""
+    _require_length(path, path.stat().st_size)
+    try:
+        with open_packed(path) as packed:
+            content = packed.read(compute_max_bytes(path) + 1)
+    except (OSError, EOFError, zlib.error, lzma.LZMAError) as error:
+        raise LogError(
+            f"{path}: cannot be unpacked; it is truncated or damaged, so copy or record it again.",
+            code="file.unreadable",
+            where=path,
+        ) from error
+    if len(content) > compute_max_bytes(path):
+        raise LogError(
+            f"{path}: unpacks to more than {compute_max_bytes(path) / 1e6:.0f} MB.",
+            code="log.too_large",
+            where=path,
+        )
+    return content
+
+
+def _find_encoding(start: bytes) -> str | None:
+    """Return the encoding of a text that begins with `start`, None for UTF-8 or no text."""
+    if start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    encoding_by_start = {b"\1\0\1\0": "utf-16-le", b"\0\1\0\1": "utf-16-be"}
+    encoding = encoding_by_start.get(bytes(map(bool, start[:4])))
+    if encoding:
+        return encoding
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(start)
+    except UnicodeDecodeError:
+        if not _CONTROL_BYTES.search(start):
+            return "cp1252"  # a degree sign of Windows
+    return None
 
 
 def _find_dialect(path: Path, content: bytes | None, names: Sequence[str]) -> _Dialect:
@@ -173,28 +190,33 @@ def _find_dialect(path: Path, content: bytes | None, names: Sequence[str]) -> _D
         with _open_text(path, content) as file:
             if is_json(file.buffer.read(_START_BYTES)):
                 file.seek(0)
-                json_names, rows = convert_records(path, file.read())
-                return _Dialect(path, rows, json_names, ",", ".", header_line=0, first_line=1)
+                json_names, table = convert_records(path, file.read())
+                return _Dialect(path, table, json_names, ",", ".", header_line=0, first_line=1)
         with _open_text(path, content) as file:
-            numbered_lines = (
-                (k, line.strip(" \r\n")) for k, line in enumerate(_read_lines(file), start=1)
-            )
-            head = list(
-                islice(((k, line) for k, line in numbered_lines if line), _MAX_SEARCHED_LINES)
-            )
+            lines = enumerate(map(_strip_line, _read_lines(file)), start=1)
+            filled_lines = (numbered_line for numbered_line in lines if numbered_line[1])
+            head = list(islice(filled_lines, _MAX_SEARCHED_LINES))
             header, data, delimiter = _find_table(path, head, names)
-            # A log may begin with zeros without decimal sign.
-            has_decimal_commas = delimiter != "," and any(
-                _DECIMAL_COMMA.fullmatch(cell.strip())
-                for _, line in chain(((k, line) for k, line in head if k >= data), numbered_lines)
-                if "," in line
-                for cell in line.split(delimiter)
+            rows = chain(
+                (line for k, line in head if k >= data), (line for _, line in filled_lines)
             )
+            decimal = "."
+            # A log may begin with zeros without decimal sign.
+            if delimiter != "," and any(_has_decimal_comma(row, delimiter) for row in rows):
+                decimal = ","
     except (UnicodeDecodeError, csv.Error) as error:
         raise _build_csv_error(path) from error
-    return _Dialect(
-        path, content, tuple(names), delimiter, "," if has_decimal_commas else ".", header, data
-    )
+    return _Dialect(path, content, tuple(names), delimiter, decimal, header, data)
+
+
+def _strip_line(line: str) -> str:
+    return line.strip(" \r\n")
+
+
+def _has_decimal_comma(row: str, delimiter: str) -> bool:
+    if "," not in row:
+        return False
+    return any(_DECIMAL_COMMA.fullmatch(cell.strip()) for cell in row.split(delimiter))
 
 
 def _find_table(
@@ -219,22 +241,20 @@ def _find_table(
                 for k, text in lines_above
                 if _has_length(cells, _count_cells(text, delimiter))
             ]
-            unit_lines = [k for k, text in fitting_lines[:1] if _is_unit_row(text, delimiter)]
-            header_lines = (
-                fitting_lines[1:] if unit_lines and len(fitting_lines) > 1 else fitting_lines
-            )
-            if header_lines and not names and not _is_row(header_lines[0][1], delimiter):
-                return header_lines[0][0], number, delimiter
-            has_title = index > 0 and lines[index - 1][1][0] not in _COMMENT_MARKS
-            headerless_rows.append(
-                (_count_cells(lines[index - 1][1], delimiter) if has_title else 1, cells)
-            )
+            if len(fitting_lines) > 1 and _is_unit_row(fitting_lines[0][1], delimiter):
+                fitting_lines.pop(0)
+            if fitting_lines and not names and not _is_row(fitting_lines[0][1], delimiter):
+                return fitting_lines[0][0], number, delimiter
+            title_length = 1
+            if index > 0 and lines[index - 1][1][0] not in _COMMENT_MARKS:
+                title_length = _count_cells(lines[index - 1][1], delimiter)
+            headerless_rows.append((title_length, cells))
         if len(headerless_rows) >= _MIN_HEADERLESS_ROWS:
             break
     if headerless_rows and (names or headerless_rows[0][0] == 1):
         raise _build_headerless_error(path, headerless_rows[0][1], names)
-    number, header = lines[0] if lines else (1, "")
-    first_row = lines[1][1] if len(lines) > 1 else ""
+    # Without a row of numbers, the first line is the header.
+    (number, header), (_, first_row) = [*lines[:2], (1, ""), (2, "")][:2]
     header = header.lstrip(_COMMENT_MARKS + " ")
     used_delimiters = [d for d in _DELIMITERS if d in header] or [","]
     # Names may contain other delimiters.
@@ -270,8 +290,8 @@ def _suggest_names(count: int) -> tuple[str, ...]:
     for quantities in (("q", "dq", "tau"), ("q", "tau")):
         joint_count, remainder = divmod(count - 1, len(quantities))
         if joint_count > 0 and remainder == 0:
-            numbered = [f"{name}{k}" for name in quantities for k in range(1, joint_count + 1)]
-            return ("t", *numbered)
+            numbered = product(quantities, range(1, joint_count + 1))
+            return ("t", *(f"{name}{k}" for name, k in numbered))
     return ("t", *(f"c{k}" for k in range(1, count)))
 
 
@@ -297,9 +317,8 @@ def _is_row(line: str, delimiter: str) -> bool:
 
 
 def _is_count(cells: Sequence[str]) -> bool:
-    return len(cells) > 2 and any(
-        list(cells) == [str(k + first) for k in range(len(cells))] for first in (0, 1)
-    )
+    numbers = [str(k) for k in range(len(cells) + 1)]
+    return len(cells) > 2 and list(cells) in (numbers[:-1], numbers[1:])
 
 
 def _is_unit_row(line: str, delimiter: str) -> bool:
@@ -360,12 +379,12 @@ def _read_chunks(dialect: _Dialect, chunk_rows: int = 0) -> Iterator[_Chunk]:
         with _open_text(dialect.path, dialect.content, newline="") as file:
             lines = _read_lines(file)
             lines_above = list(islice(lines, dialect.first_line - 1))[dialect.header_line - 1 :]
+            if dialect.header_line == 0:
+                lines_above = []
             # A logger that begins again in the same file repeats its header.
-            header_text = "".join(lines_above[:1]).strip() if dialect.header_line else ""
+            header_text = "".join(lines_above[:1]).strip()
             header_lines = [_squeeze(line, dialect.delimiter) for line in lines_above]
-            header = csv.reader(
-                header_lines if dialect.header_line else [], delimiter=dialect.delimiter
-            )
+            header = csv.reader(header_lines, delimiter=dialect.delimiter)
             names = list(dialect.names) or _parse_names(next(header, []))
             if not names:
                 raise LogError(
@@ -377,9 +396,8 @@ def _read_chunks(dialect: _Dialect, chunk_rows: int = 0) -> Iterator[_Chunk]:
             yield _Chunk(names, [], [], dialect.decimal)
             lists = _ListCells()
             lines_below = enumerate(lines, start=dialect.first_line)
-            while chunk := list(
-                islice(lines_below, chunk_rows or max(1, _CHUNK_CELLS // len(names)))
-            ):
+            chunk_rows = chunk_rows or max(1, _CHUNK_CELLS // len(names))
+            while chunk := list(islice(lines_below, chunk_rows)):
                 rows = {
                     k: line
                     for k, line in chunk
@@ -494,9 +512,9 @@ def _is_empty(column: Array | TextCell) -> bool:
 def _parse_columns(rows: Mapping[int, str], dialect: _Dialect, column_count: int) -> Iterable[Any]:
     """Return the columns of some lines, as arrays if all cells are numbers."""
     lines = [_squeeze(line, dialect.delimiter) for line in rows.values()]
-    point_lines = (
-        [line.translate(_SWAP_COMMA) for line in lines] if dialect.decimal == "," else lines
-    )
+    point_lines = lines
+    if dialect.decimal == ",":
+        point_lines = [line.translate(_SWAP_COMMA) for line in lines]
     read_numbers = partial(
         np.loadtxt, point_lines, delimiter=dialect.delimiter, comments=None, ndmin=2
     )
@@ -535,7 +553,10 @@ class Column:
         """Append numbers, or the text from row `first`."""
         if self._parts and self._parts[-1] is None:
             return
-        part = cells if isinstance(cells, np.ndarray) else _parse_numbers(cells, decimal)
+        if isinstance(cells, np.ndarray):
+            self._parts.append(cells)
+            return
+        part = _parse_numbers(cells, decimal)
         if part is None:
             cells = [_normalise_cell(cell) for cell in cells]
             part = _parse_numbers(cells, decimal)
@@ -605,4 +626,4 @@ def _parse_names(header: Sequence[str]) -> list[str]:
     names = [name.strip() for name in header]
     if names[:1] == ["#"]:
         return names[1:]
-    return [names[0].removeprefix("#").strip(), *names[1:]] if names else []
+    return [name.removeprefix("#").strip() for name in names[:1]] + names[1:]

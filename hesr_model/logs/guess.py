@@ -115,7 +115,8 @@ def guess_columns(
     else:
         stamps = np.arange(table.rows, dtype=float)
     time_names = columns.get("t", ())
-    time_names = (time_names,) if isinstance(time_names, str) else time_names
+    if isinstance(time_names, str):
+        time_names = (time_names,)
     candidates = _find_candidates(table, joints, without=time_names)
     candidates = _keep_stated(candidates, stated or {})
     time_size = float(find_si_factor("t", units.get("t", "s")))
@@ -184,7 +185,7 @@ def _keep_stated(
     candidates: Mapping[str, Sequence[ColumnCandidate]], stated: Mapping[str, Sequence[str]]
 ) -> dict[str, Sequence[ColumnCandidate]]:
     """Return the stated columns, and the candidates for other quantities."""
-    stated_names = {name for names in stated.values() for name in names}
+    stated_names = set(chain.from_iterable(stated.values()))
     remaining: dict[str, Sequence[ColumnCandidate]] = {}
     for quantity, quantity_candidates in candidates.items():
         free_candidates = [
@@ -272,12 +273,17 @@ class _Pair:
 
     def fits_units(self, time_size: float) -> bool:
         """Return whether the derivative equals the velocity in the units of the names."""
-        sizes = [
-            find_si_factor(candidate.quantity, candidate.unit) if candidate.unit else 1.0
-            for candidate in (self.position, self.velocity)
-        ]
-        ratio = abs(self.match.factor) * sizes[0] / (sizes[1] * time_size)
+        position_size = _find_size(self.position)
+        velocity_size = _find_size(self.velocity)
+        ratio = abs(self.match.factor) * position_size / (velocity_size * time_size)
         return ratio > 0.0 and abs(np.log(ratio)) < _MAX_LOG_RATIO
+
+
+def _find_size(candidate: ColumnCandidate) -> float:
+    """Return the size in SI of a candidate's unit."""
+    if not candidate.unit:
+        return 1.0
+    return float(find_si_factor(candidate.quantity, candidate.unit))
 
 
 def _choose_motion(
@@ -438,8 +444,9 @@ def _rises(table: LogTable, name: str | tuple[str, str]) -> bool:
 def _describe_time(table: LogTable, name: str) -> str:
     """Return why a column that is named like time is none."""
     cells = table.arrays(table.names.index(name))
-    fault = f"holds {cells.text!r}" if isinstance(cells, TextCell) else "does not rise"
-    return f", '{name}' {fault}"
+    if isinstance(cells, TextCell):
+        return f", '{name}' holds {cells.text!r}"
+    return f", '{name}' does not rise"
 
 
 def _rises_in_bursts(table: LogTable, name: str) -> bool:
@@ -465,8 +472,8 @@ def _guess_time_unit(table: LogTable, name: str | tuple[str, str]) -> tuple[str,
         if lowest_rate <= 1.0 / max(period * factor, 1e-300) <= highest_rate
     ]
     quantity, unit = read_unit(name) or ("", "")
-    named_unit = (unit or "s") if quantity == "t" else ""
-    if named_unit in plausible_units:
+    named_unit = unit or "s"
+    if quantity == "t" and named_unit in plausible_units:
         return str(named_unit), f"named so: {name}"
     if not plausible_units:
         return "s", "no unit gives a plausible sample rate"

@@ -11,6 +11,7 @@ from typing import Any
 
 from hesr_model.errors import LogError
 from hesr_model.logs.log_table import compute_max_bytes, require_columns
+from hesr_model.support.ledger import join_key
 
 _log = logging.getLogger(__name__)
 _CONSTANTS = {None: "", True: "true", False: "false"}
@@ -28,11 +29,13 @@ def convert_records(path: Path, text: str) -> tuple[tuple[str, ...], bytes]:
 
     Inner objects have names with dots, as `joint.q`, and entries of lists numbers, as `q_1`.
     """
-    rows = [dict(_flatten("", record)) for record in _read_records(path, text)]
+    rows: list[Row] = []
     names: dict[str, None] = {}
-    for row in rows:
+    for record in _read_records(path, text):
+        row = dict(_flatten("", record))
         names |= dict.fromkeys(row)
         require_columns(path, len(names))
+        rows.append(row)
     if len(names) * len(rows) > compute_max_bytes(path):
         raise LogError(
             f"{path}: its {len(rows)} records have {len(names)} names, more than fits into "
@@ -41,7 +44,7 @@ def convert_records(path: Path, text: str) -> tuple[tuple[str, ...], bytes]:
             where=path,
         )
     file = io.StringIO()
-    csv.writer(file).writerows([row.get(name, "") for name in names] for row in rows)
+    csv.DictWriter(file, list(names), restval="").writerows(rows)
     return tuple(names), file.getvalue().encode()
 
 
@@ -67,7 +70,7 @@ def _read_lines(
 ) -> Iterator[Mapping[str, Any]]:
     for number, line in enumerate(lines, start=1):
         try:
-            record = _parse(line) if line.strip() else {}
+            record = _parse(line.strip() or "{}")
         except (ValueError, RecursionError):
             record = None
         if isinstance(record, dict):
@@ -107,14 +110,14 @@ def _find_lists(name: str, data: Any) -> Iterator[tuple[str, list[Any]]]:
         yield name, data
     elif isinstance(data, dict):
         for key, value in data.items():
-            yield from _find_lists(f"{name}.{key}" if name else key, value)
+            yield from _find_lists(join_key(name, key), value)
 
 
 def _flatten(name: str, value: Any) -> Iterator[tuple[str, str]]:
     """Yield the names and texts of the values in a record."""
     if isinstance(value, dict):
         for key, inner in value.items():
-            yield from _flatten(f"{name}.{key}" if name else key, inner)
+            yield from _flatten(join_key(name, key), inner)
     elif isinstance(value, list):
         for number, inner in enumerate(value, start=1):
             yield from _flatten(f"{name}_{number}", inner)

@@ -84,9 +84,11 @@ def _match_joint(t: Array, q: Array, dq: Array) -> DerivativeMatch:
 
 def _cross_validate(predictor: Array, change: Array) -> DerivativeMatch | None:
     """Predict each block of changes (K,) by the factor of the other blocks."""
-    mean_square = float(np.mean(change**2)) if len(change) else 0.0
-    squares = float(np.sum(predictor**2)) if len(change) else 0.0
-    if len(change) < _BLOCK_COUNT or mean_square == 0.0 or squares == 0.0:
+    if len(change) < _BLOCK_COUNT:
+        return None
+    mean_square = float(np.mean(change**2))
+    squares = float(np.sum(predictor**2))
+    if mean_square == 0.0 or squares == 0.0:
         return None
     blocks = np.array_split(np.arange(len(change)), _BLOCK_COUNT)
     product = float(predictor @ change)

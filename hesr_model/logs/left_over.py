@@ -65,11 +65,9 @@ def _suggest_optional_name(log: Log, name: str) -> str:
     if log.robot is None:
         return ""
     columns = log.robot.log.columns
-    missing = [
-        optional
-        for quantity in OPTIONAL
-        if getattr(log, quantity) is None
-        for optional in column_names(getattr(columns, quantity), log.robot.joints)
-    ]
+    missing: list[str] = []
+    for quantity in OPTIONAL:
+        if getattr(log, quantity) is None:
+            missing += column_names(getattr(columns, quantity), log.robot.joints)
     suggestion = format_suggestion(find_same_kind(name, missing))
     return f" ({suggestion})" if suggestion else ""

@@ -33,7 +33,8 @@ _UnitNames = UnitName | tuple[UnitName, ...]
 
 def _require_known_unit(units: _UnitNames, info: ValidationInfo) -> _UnitNames:
     known_units = LOG_UNITS[str(info.field_name)]
-    for unit in units if isinstance(units, tuple) else (units,):
+    listed_units = units if isinstance(units, tuple) else (units,)
+    for unit in listed_units:
         if isinstance(unit, str) and unit.removeprefix("-") not in known_units:
             raise RuleError(f"known units are {', '.join(map(repr, known_units))}", code="log.unit")
         if unit == 0.0:
@@ -150,10 +151,10 @@ class LogUnits(Config):
             joint_units = self.expand_per_joint(quantity, len(joints))
             for joint, unit, is_prismatic in zip(joints, joint_units, slides, strict=True):
                 if not is_allowed_unit(quantity, unit, is_prismatic=is_prismatic):
+                    motion = "slides" if is_prismatic else "turns"
                     raise RobotError(
                         f"key 'log.units.{quantity}' is '{unit}' for joint '{joint}', which "
-                        f"{'slides' if is_prismatic else 'turns'}; give a list of one unit per "
-                        "joint.",
+                        f"{motion}; give a list of one unit per joint.",
                         code="log.unit_of_joint",
                         key=f"log.units.{quantity}",
                     )
@@ -231,3 +232,14 @@ class LogFormat(Config):
     def allows_missing(self) -> bool:
         """Whether rows may lack numbers."""
         return self.missing != "refuse"
+
+    @property
+    def needs_all_rows(self) -> bool:
+        """Whether rows depend on those before: their order, how often a counter has wrapped."""
+        return (
+            self.sort
+            or self.wrap is not None
+            or self.restart != "refuse"
+            or self.duplicates == "spread"
+            or self.missing == "interpolate"
+        )

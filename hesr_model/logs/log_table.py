@@ -128,11 +128,9 @@ class LogTable:
         if self.first_piece is not None:
             first_stamps, _ = self.first_piece._read_stamps(name, unit, missing)
         finite_stamps = first_stamps[np.isfinite(first_stamps)]
-        origin = (
-            finite_stamps[0]
-            if len(finite_stamps) and abs(float(finite_stamps[0])) * unit > _SINCE_1970
-            else 0
-        )
+        origin = 0
+        if len(finite_stamps) and abs(float(finite_stamps[0])) * unit > _SINCE_1970:
+            origin = finite_stamps[0]
         return np.asarray((stamps - origin) * unit, dtype=float)
 
     def _read_stamps(
@@ -143,11 +141,14 @@ class LogTable:
         cells: Any = self._find_column(name)
         if _find_kind(cells) in "mM":
             unit = _UNITS[np.datetime_data(cells.dtype)[0]]
-            is_empty, cells = np.isnat(cells), cells.astype(np.int64)
-            cells = np.where(is_empty, np.nan, cells) if is_empty.any() else cells
+            is_empty = np.isnat(cells)
+            cells = cells.astype(np.int64)
+            if is_empty.any():
+                cells = np.where(is_empty, np.nan, cells)
         # Nanoseconds since 1970 exceed the digits of a float: subtract before.
-        is_integer = _find_kind(cells) in "iu"
-        return (cells if is_integer else self._to_floats(name, cells, missing=missing)), unit
+        if _find_kind(cells) in "iu":
+            return cells, unit
+        return self._to_floats(name, cells, missing=missing), unit
 
     def _join_stamps(self, seconds: str, fraction: str, *, missing: bool) -> Any:
         """Return stamps (N,) [ns] of two columns; whole numbers stay exact."""
@@ -197,7 +198,9 @@ class LogTable:
         is_usable = ~np.isinf(values) if missing else np.isfinite(values)
         if not np.all(is_usable):
             k = int(np.argmin(is_usable))
-            content = "an empty cell or NaN" if np.isnan(values[k]) else "infinity"
+            content = "infinity"
+            if np.isnan(values[k]):
+                content = "an empty cell or NaN"
             raise LogError(
                 f"{self.path}: column '{name}', row {self.row(k)}: {content} where a finite number "
                 "is needed.",
@@ -216,19 +219,25 @@ def find_same_kind(name: str, candidates: Sequence[str]) -> list[str]:
 
 def _may_be_same(name: str, other: str) -> bool:
     """Return whether two names are not those of different quantities, as q1 and dq1."""
-    quantities = [{reading.quantity for reading in read_name(text)} for text in (name, other)]
-    return not all(quantities) or not quantities[0].isdisjoint(quantities[1])
+    quantities = _list_quantities(name)
+    other_quantities = _list_quantities(other)
+    is_open = not quantities or not other_quantities
+    return is_open or not quantities.isdisjoint(other_quantities)
+
+
+def _list_quantities(name: str) -> set[str]:
+    return {reading.quantity for reading in read_name(name)}
 
 
 def join_names(names: Sequence[str]) -> str:
     """Return names for a sentence, shortened if many."""
-    more_count = len(names) - _MAX_NAMES
-    short_names = [
-        name if len(name) <= _MAX_NAME_LENGTH else f"{name[:_MAX_NAME_LENGTH]}..." for name in names
-    ]
-    return ", ".join(
-        (*short_names[:_MAX_NAMES], *([f"and {more_count} more"] if more_count > 0 else []))
-    )
+    words = []
+    for name in names[:_MAX_NAMES]:
+        is_long = len(name) > _MAX_NAME_LENGTH
+        words.append(f"{name[:_MAX_NAME_LENGTH]}..." if is_long else name)
+    if len(names) > _MAX_NAMES:
+        words.append(f"and {len(names) - _MAX_NAMES} more")
+    return ", ".join(words)
 
 
 def is_seconds_and_fraction(values: Array, unit: str) -> bool:

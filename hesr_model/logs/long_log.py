@@ -94,20 +94,12 @@ class LongLog:
         self._rows = max_rows
         self._sha256 = ""
         if isinstance(source, Path):
-            log_format = description.log
-            # What came before decides the order of rows, and how often a counter has wrapped.
-            needs_all = (
-                log_format.sort
-                or log_format.wrap
-                or log_format.restart != "refuse"
-                or log_format.duplicates == "spread"
-                or log_format.missing == "interpolate"
-            )
-            in_pieces = not needs_all and next(
-                read_sample_pieces(source, description, max_rows), None
-            )
+            first_piece = None
+            if not description.log.needs_all_rows:
+                first_piece = next(read_sample_pieces(source, description, max_rows), None)
             self._sha256 = sha256(source)
-            source = source if in_pieces else Log.read(source, description)
+            if first_piece is None:
+                source = Log.read(source, description)
         self._source = source
         self._time = ""
         self._state = _read_state(source)
@@ -189,10 +181,8 @@ class LongLog:
             if not parts:
                 return
             first_needed = max(next_row - margin, min(parts[0].first, held_end), first_held)
-            held_log, first_held = (
-                held_log.rows(slice(first_needed - first_held, None)),
-                first_needed,
-            )
+            held_log = held_log.rows(slice(first_needed - first_held, None))
+            first_held = first_needed
 
     def _survey_pieces(self) -> Iterator[Log]:
         """Yield the pieces, and keep pieces to check and the travel."""
@@ -200,15 +190,14 @@ class LongLog:
         highest = np.array(-np.inf)
         stride = 1
         for k, log in enumerate(self._read_pieces()):
-            lowest, highest = (
-                np.minimum(lowest, log.q.min(axis=0)),
-                np.maximum(highest, log.q.max(axis=0)),
-            )
+            lowest = np.minimum(lowest, log.q.min(axis=0))
+            highest = np.maximum(highest, log.q.max(axis=0))
             self.travel = highest - lowest
             if k % stride == 0 and (k == 0 or 2 * len(log.t) > self._rows):  # checks need many rows
                 self.checked_pieces.append(log)
             if len(self.checked_pieces) > _MAX_CHECKED_PIECES:
-                self.checked_pieces, stride = self.checked_pieces[::2], 2 * stride
+                self.checked_pieces = self.checked_pieces[::2]
+                stride *= 2
             yield log
 
     def _split(self, logs: Iterable[Log], longest: float) -> list[_Part]:
@@ -274,5 +263,7 @@ def _continue_integral(last_log: Log, log: Log) -> Log:
 
 def _read_state(source: Log | Path) -> tuple[int, int]:
     """Return size [B] and time of the last change [ns] of a file."""
-    status = source.stat() if isinstance(source, Path) else None
-    return (status.st_size, status.st_mtime_ns) if status else (0, 0)
+    if not isinstance(source, Path):
+        return 0, 0
+    status = source.stat()
+    return status.st_size, status.st_mtime_ns

@@ -25,16 +25,12 @@ _SECONDS_PER_BYTE = 1e-7  # of the allowed memory
 _TOTAL_SECONDS = 24 * 3600.0  # for all items of a file
 _MEMORY = 2 << 30  # [B], and more for large files
 _TIME_UNITS = ("D", "h", "m", "s", "ms", "us", "ns")
-_TYPES = {
-    kind.str: kind
-    for kind in map(
-        np.dtype,
-        [
-            *("u1", "u2", "u4", "u8", "i1", "i2", "i4", "i8", "f8"),
-            *(f"{letter}8[{unit}]" for letter in "mM" for unit in _TIME_UNITS),
-        ],
-    )
-}
+_NAMES_OF_TYPES = (
+    *("u1", "u2", "u4", "u8", "i1", "i2", "i4", "i8", "f8"),
+    *(f"m8[{unit}]" for unit in _TIME_UNITS),
+    *(f"M8[{unit}]" for unit in _TIME_UNITS),
+)
+_TYPES = {np.dtype(name).str: np.dtype(name) for name in _NAMES_OF_TYPES}
 """Types of arrays that a child can answer: numbers, times and durations."""
 
 

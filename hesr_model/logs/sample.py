@@ -69,8 +69,10 @@ class MotionSample:
             place, window = entry
             return window.part, window.number - place
 
-        groups = groupby(enumerate(self._windows), find_run)
-        return [join_records([window.motion for _, window in group]) for _, group in groups]
+        motions = []
+        for _, run in groupby(enumerate(self._windows), find_run):
+            motions.append(join_records([window.motion for _, window in run]))
+        return motions
 
     def _cut(self, motion: Motion) -> Iterator[tuple[Motion, dict[Stratum, int]]]:
         t = motion.t
@@ -113,21 +115,11 @@ class MotionSample:
     def _shrink(self) -> None:
         if sum(len(window.motion.t) for window in self._windows) <= self._max_rows:
             return
-        # Windows by stratum, the smallest -log(u) / weight first.
-        queues = {
-            stratum: iter(
-                sorted(
-                    (window for window in self._windows if stratum in window.row_counts),
-                    key=lambda window: (
-                        -np.log(window.uniform_draw) / window.row_counts[stratum],
-                        window.number,
-                    ),
-                )
-            )
-            for stratum in sorted(
-                self._stratum_rows, key=lambda stratum: (self._stratum_rows[stratum], stratum)
-            )
-        }
+        # The rarest strata choose first.
+        strata = sorted(
+            self._stratum_rows, key=lambda stratum: (self._stratum_rows[stratum], stratum)
+        )
+        queues = {stratum: iter(self._queue_windows(stratum)) for stratum in strata}
         chosen_windows: dict[int, _Window] = {}
         rows_left = self._max_rows
         while queues:
@@ -144,6 +136,15 @@ class MotionSample:
                     break
                 chosen_windows[window.number] = window
         self._windows = [window for window in self._windows if window.number in chosen_windows]
+
+    def _queue_windows(self, stratum: Stratum) -> list[_Window]:
+        """Return the windows of a stratum, the smallest -log(u) / weight first."""
+
+        def compute_order(window: _Window) -> tuple[float, int]:
+            return -np.log(window.uniform_draw) / window.row_counts[stratum], window.number
+
+        windows = [window for window in self._windows if stratum in window.row_counts]
+        return sorted(windows, key=compute_order)
 
 
 def _uniform(seed: int, log_name: str, t: float) -> float:

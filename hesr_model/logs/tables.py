@@ -70,11 +70,11 @@ def require_content(path: Path) -> None:
 
 def number_columns(**signals: Array) -> dict[str, Array]:
     """Return columns (N,) of signals (N, n) by name, ``q1, q2..`` of `q`."""
-    return {
-        f"{name}{number}": column
-        for name, values in signals.items()
-        for number, column in enumerate(values.T, start=1)
-    }
+    columns: dict[str, Array] = {}
+    for name, values in signals.items():
+        for number, column in enumerate(values.T, start=1):
+            columns[f"{name}{number}"] = column
+    return columns
 
 
 def write_table(path: Path, columns: Mapping[str, Array]) -> None:
@@ -89,10 +89,15 @@ def write_table(path: Path, columns: Mapping[str, Array]) -> None:
         return
     with path.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n", quoting=csv.QUOTE_ALL).writerow(columns)
-        cells = [np.where(x, "true", "false") if x.dtype == bool else x for x in columns.values()]
+        cells = [_format_truths(column) for column in columns.values()]
         for k in range(0, len(cells[0]), _CHUNK_ROWS):
             chunk = zip(*(x[k : k + _CHUNK_ROWS].tolist() for x in cells), strict=True)
             csv.writer(file, lineterminator="\n").writerows(chunk)
+
+
+def _format_truths(column: Array) -> Array:
+    """Return truth values as words, other columns unchanged."""
+    return np.where(column, "true", "false") if column.dtype == bool else column
 
 
 def import_arrow() -> Any:

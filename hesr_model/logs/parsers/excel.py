@@ -74,6 +74,8 @@ def _format_rows(rows: list[Row]) -> bytes:
     file = io.StringIO()
     writer = csv.writer(file, delimiter="\t", lineterminator="\n")
     for row in rows:
-        cells = [row[k] if k < len(row) else None for k in filled_columns]
-        writer.writerow(cells if any(cell is not None for cell in cells) else [])
+        padded_row = dict(enumerate(row))
+        cells = [padded_row.get(k) for k in filled_columns]
+        is_empty = all(cell is None for cell in cells)
+        writer.writerow([] if is_empty else cells)
     return file.getvalue().encode()

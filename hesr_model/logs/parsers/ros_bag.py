@@ -32,7 +32,9 @@ def parse(path: Path, *, shown: str, topics: Sequence[str]) -> Iterator[Item]:
             # A first item without messages lists the topics.
             topic_types = {(c.topic, c.msgtype) for c in reader.connections}
             yield build_item([], names=sorted(map(list, topic_types)))
-            connections = [c for topic in topics for c in _find_connections(shown, reader, topic)]
+            connections: list[Any] = []
+            for topic in topics:
+                connections += _find_connections(shown, reader, topic)
             states = (
                 reader.deserialize(raw, connection.msgtype)
                 for connection, _, raw in reader.messages(connections)
@@ -69,11 +71,9 @@ def _find_connections(path: str, reader: Any, topic: str) -> list[Any]:
     connections = [c for c in reader.connections if c.topic == topic]
     if not connections:
         states = sorted({c.topic for c in reader.connections if c.msgtype == JOINT_STATE})
-        topic_list = (
-            f"topics of joint states are {', '.join(states)}"
-            if states
-            else f"none is {JOINT_STATE}"
-        )
+        topic_list = f"none is {JOINT_STATE}"
+        if states:
+            topic_list = f"topics of joint states are {', '.join(states)}"
         raise LogError(
             f"{path}: has no topic '{topic}'; {topic_list}; name one under 'log.bag.topic' of the "
             "robot file.",

@@ -50,9 +50,10 @@ def build_array_table(path: Path, arrays: Mapping[str, Array], time: str) -> Log
 
 
 def _split_columns(name: str, array: Array) -> dict[str, Array]:
+    if array.ndim == 1:
+        return {name: array}
     flat = array.reshape(len(array), -1)
-    is_vector = array.ndim == 1
-    return {name if is_vector else f"{name}{k}": column for k, column in enumerate(flat.T, start=1)}
+    return {f"{name}{k}": column for k, column in enumerate(flat.T, start=1)}
 
 
 def load_arrays(path: Path) -> dict[str, Any]:
@@ -101,9 +102,10 @@ def _read_pieces(path: Path, _log_format: LogFormat, max_rows: int) -> Iterator[
                 content = open_files[name].read(row_count * dtype.itemsize * math.prod(shape[1:]))
                 piece_shape = [row_count, *(length for length in shape[1:] if length > 1)]
                 array = np.frombuffer(content, dtype).reshape(piece_shape)
-                for column, values in find_number_arrays(
-                    array, name or ("" if dtype.names else "data")
-                ):
+                # As `load_arrays` names an only array.
+                if not name and not dtype.names:
+                    name = "data"
+                for column, values in find_number_arrays(array, name):
                     columns |= _split_columns(column, values)
             yield build_table(
                 path, columns, [name for name in headers if name not in longest_headers]
@@ -112,12 +114,9 @@ def _read_pieces(path: Path, _log_format: LogFormat, max_rows: int) -> Iterator[
 
 def _read_head(file: Any) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     npy_format = np.lib.format
-    is_version_1 = npy_format.read_magic(file) == (1, 0)
-    return (
-        npy_format.read_array_header_1_0(file)
-        if is_version_1
-        else npy_format.read_array_header_2_0(file)
-    )
+    if npy_format.read_magic(file) == (1, 0):
+        return npy_format.read_array_header_1_0(file)
+    return npy_format.read_array_header_2_0(file)
 
 
 FORMAT = table_format(

@@ -225,9 +225,9 @@ class _Series:
         is_inside = (after < len(stamps)) & (before >= 0)
         steps = np.zeros(len(t))
         steps[is_inside] = stamps[after[is_inside]] - stamps[before[is_inside]]
-        return (
-            is_inside & (steps <= 10 * np.median(np.diff(stamps))) if len(stamps) > 1 else is_inside
-        )
+        if len(stamps) < 2:
+            return is_inside
+        return np.asarray(is_inside & (steps <= 10 * np.median(np.diff(stamps))))
 
     def interpolate(self, field: str, t: NDArray[np.int64]) -> Array | None:
         """Return a field at times [ns], interpolated where no message has them."""
@@ -270,7 +270,10 @@ def _group_messages(
 
 
 def _list_joints(messages: Sequence[_Message]) -> list[str]:
-    return list(dict.fromkeys(name for message in messages for name in message.state.name))
+    joints: dict[str, None] = {}
+    for message in messages:
+        joints |= dict.fromkeys(message.state.name)
+    return list(joints)
 
 
 def _count_left_out(
@@ -402,7 +405,9 @@ def _read_field(
                 key=field,
             )
         row[:] = [entries[names.index(joint)] for joint in joints]
-    is_bad = np.isinf(values) if allows_missing else ~np.isfinite(values)
+    is_bad = np.isinf(values)
+    if not allows_missing:
+        is_bad |= np.isnan(values)
     if np.any(is_bad):
         k, joint = np.argwhere(is_bad)[0]
         raise LogError(

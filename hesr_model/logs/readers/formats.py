@@ -4,6 +4,7 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -66,8 +67,8 @@ def _read_columns(table: LogTable, description: RobotDescription) -> LogSamples:
             columns.t, float(log_format.units.factors("t", 1)[0]), missing=allows_missing
         )
         time = f"column '{columns.time_name}'"
-    q = _read_joints(table, columns.q, description) if columns.q else None
-    dq = _read_joints(table, columns.dq, description) if columns.dq else None
+    q = _read_named(table, columns.q, description)
+    dq = _read_named(table, columns.dq, description)
     effort, is_current = _read_effort(table, description)
     optional: dict[str, Any] = {
         quantity: _read_optional(table, quantity, description) for quantity in OPTIONAL
@@ -80,8 +81,8 @@ def _read_columns(table: LogTable, description: RobotDescription) -> LogSamples:
         is_current=is_current,
         time=time,
         place=lambda k: f"row {table.row(k)}",
-        q_link=_read_joints(table, columns.q_link, description) if columns.q_link else None,
-        current_size=_read_current_size(table, description),
+        q_link=_read_named(table, columns.q_link, description),
+        current_size=_read_named(table, columns.current_size, description),
         left_over=tuple(
             name for name in (*table.names, *table.other_names) if name not in table.used
         ),
@@ -117,9 +118,10 @@ def _read_joints(table: LogTable, columns: Columns, description: RobotDescriptio
     )
 
 
-def _read_current_size(table: LogTable, description: RobotDescription) -> Array | None:
-    columns = description.log.columns.current_size
-    return _read_joints(table, columns, description) if columns else None
+def _read_named(table: LogTable, columns: Columns, description: RobotDescription) -> Array | None:
+    if not columns:
+        return None
+    return _read_joints(table, columns, description)
 
 
 def _read_optional(table: LogTable, quantity: str, description: RobotDescription) -> Array | None:
@@ -139,7 +141,7 @@ def _read_effort(table: LogTable, description: RobotDescription) -> tuple[Array,
     columns = description.log.columns
     gains = description.log.torque_per_ampere
     if description.log.cylinder is not None:
-        names = [name for pair in description.log.cylinder.pressures for name in pair]
+        names = list(chain.from_iterable(description.log.cylinder.pressures))
         return table.numbers(names, missing=description.log.allows_missing), False
     torque_name = column_names(columns.tau, description.joints)[0]
     current_name = column_names(columns.current, description.joints)[0]
@@ -231,15 +233,18 @@ def read_sample_pieces(
     """Yield the samples of successive rows; none of a format that is read as a whole."""
     first_table = None
     rows_before = 0
-    pieces = find_format(path).pieces
-    for piece in pieces(path, description.log, max_rows) if pieces else ():
+    open_pieces = find_format(path).pieces
+    if open_pieces is None:
+        return
+    for piece in open_pieces(path, description.log, max_rows):
         table = replace(
             piece.rename_columns(description.log.columns.names),
             first_piece=first_table,
             rows_before=rows_before,
         )
         yield read_samples(table, description)
-        first_table, rows_before = first_table or table, rows_before + table.rows
+        first_table = first_table or table
+        rows_before += table.rows
 
 
 @cache

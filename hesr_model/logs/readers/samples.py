@@ -101,11 +101,13 @@ class LogSamples:
         is_known = np.isfinite(columns) & np.isfinite(self.t)[:, None]
         rows = np.flatnonzero(is_known[:, np.argmin(is_known.sum(axis=0))])
         outside = count_outside(self.t, self.t[rows])
-        left_out = {"lie before or after the numbers of the slowest column": outside}
+        left_out = dict(self.left_out)
+        if outside:
+            left_out["lie before or after the numbers of the slowest column"] = outside
         samples = replace(
             select_rows(self, rows),
             place=lambda k: self.place(int(rows[k])),
-            left_out={**self.left_out, **(left_out if outside else {})},
+            left_out=left_out,
         )
         filled: dict[str, Any] = {}
         for name, values in arrays.items():
