@@ -31,6 +31,10 @@ class TextCell:
     text: str
 
 
+NO_NUMBERS = TextCell(index=0, text="no numbers")
+"""Stands for what is no array of numbers in a file of arrays."""
+
+
 @dataclass(frozen=True, eq=False)
 class LogTable:
     """An open table file; messages on missing columns mention `other_names`.

@@ -50,6 +50,11 @@ class ParsedItem:
         """Columns of numbers by name."""
         return {name: cells for name, cells in self.columns if not isinstance(cells, TextCell)}
 
+    @property
+    def other_names(self) -> list[str]:
+        """Names of columns without numbers."""
+        return [name for name, cells in self.columns if isinstance(cells, TextCell)]
+
     def get_cells(self, k: int) -> Array | TextCell:
         """Return a column by its index."""
         return self.columns[k][1]

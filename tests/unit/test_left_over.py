@@ -62,7 +62,7 @@ def test_a_misspelt_optional_column_is_a_warning(tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", [".mat", ".npz", ".h5"])
 def test_arrays_of_other_lengths_are_left_over(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"run{suffix}"
-    arrays = {**COLUMNS, "gains": np.ones((3, 4))}
+    arrays = {**COLUMNS, "gains": np.ones((3, 4)), "operator": np.array("somebody")}
     if suffix == ".mat":
         savemat(path, arrays)
     elif suffix == ".npz":
@@ -71,6 +71,21 @@ def test_arrays_of_other_lengths_are_left_over(suffix: str, tmp_path: Path) -> N
         h5py = pytest.importorskip("h5py", reason="needs hesr[formats]")
         with h5py.File(path, "w") as file:
             for name, values in arrays.items():
-                file[name] = values
+                file[name] = str(values) if values.dtype.kind == "U" else values
     (finding,) = find_left_over(path)
-    assert finding.found == Containing("1 item ", "'gains (3 x 4)'")
+    assert finding.found == Containing("2 items ", "'gains (3 x 4)', 'operator'")
+
+
+def test_other_sheets_of_a_workbook_are_left_over(tmp_path: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl", reason="needs hesr[formats]")
+    book = openpyxl.Workbook()
+    book.active.title = "notes"
+    book.active.append(["Recorded on Monday"])
+    book.create_sheet("nothing")
+    sheet = book.create_sheet("data")
+    sheet.append(list(COLUMNS))
+    for row in np.column_stack(list(COLUMNS.values())).tolist():
+        sheet.append(row)
+    book.save(tmp_path / "run.xlsx")
+    (finding,) = find_left_over(tmp_path / "run.xlsx")
+    assert finding.found == Containing("1 item ", "'sheet notes'")

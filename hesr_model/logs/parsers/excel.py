@@ -33,13 +33,16 @@ def parse(path: Path) -> Iterator[Item]:
                 )
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
         max_cells = compute_max_bytes(path) // _CELL_BYTES
-        sheets: list[list[Row]] = []
+        rows_by_title: dict[str, list[Row]] = {}
         for sheet in book.worksheets:
-            sheets.append(_read_rows(path, sheet, max_cells))
-            max_cells -= sum(_count_cells(row) for row in sheets[-1])
+            rows = _read_rows(path, sheet, max_cells)
+            max_cells -= sum(_count_cells(row) for row in rows)
+            if rows:
+                rows_by_title[sheet.title] = rows
         book.close()
-        text = _format_rows(max(sheets, key=len, default=[]))
-        yield build_item([("text", np.frombuffer(text, np.uint8))])
+        longest = max(rows_by_title, key=lambda title: len(rows_by_title[title]), default="")
+        text = _format_rows(rows_by_title.pop(longest, []))
+        yield build_item([("text", np.frombuffer(text, np.uint8))], names=[list(rows_by_title)])
 
 
 def _read_rows(path: Path, sheet: Any, max_cells: int) -> list[Row]:

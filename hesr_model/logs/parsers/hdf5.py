@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from hesr_model.errors import LogError
-from hesr_model.logs.log_table import compute_max_bytes, readable
+from hesr_model.logs.log_table import NO_NUMBERS, TextCell, compute_max_bytes, readable
 from hesr_model.logs.number_arrays import find_number_arrays
 from hesr_model.logs.parsers.items import build_item
 from hesr_model.support.arrays import Array
@@ -25,7 +25,7 @@ def parse(path: Path, *, kind: str, transposed: bool) -> Iterator[Item]:
         if isinstance(link, h5py.ExternalLink):
             external_links[name] = str(link.filename)
 
-    arrays: dict[str, Array] = {}
+    arrays: dict[str, Array | TextCell] = {}
     bytes_left = compute_max_bytes(path)
 
     def visit(name: str, dataset: Any) -> None:
@@ -49,6 +49,8 @@ def parse(path: Path, *, kind: str, transposed: bool) -> Iterator[Item]:
             arrays.update(
                 find_number_arrays(array.T if transposed else array, name.replace("/", "."))
             )
+        else:
+            arrays[name.replace("/", ".")] = NO_NUMBERS
 
     with readable(path, f"a {kind}"), h5py.File(path, "r", locking=False) as file:
         file.visititems_links(note_external_link)

@@ -13,9 +13,10 @@ from typing import Literal
 import numpy as np
 
 from hesr_model.errors import LogError
-from hesr_model.logs.log_table import compute_max_bytes, readable
+from hesr_model.logs.log_table import NO_NUMBERS, TextCell, compute_max_bytes, readable
 from hesr_model.logs.number_arrays import find_number_arrays
 from hesr_model.logs.parsers.items import build_item
+from hesr_model.support.arrays import Array
 from hesr_model.support.child_main import Item
 
 Order = Literal["<", ">"]
@@ -120,5 +121,8 @@ def parse(path: Path) -> Iterator[Item]:
                 code="log.too_large",
                 where=path,
             ) from error
-        variables = {name: value for name, value in content.items() if not name.startswith("__")}
-        yield build_item(find_number_arrays(variables, ""))
+        columns: list[tuple[str, Array | TextCell]] = []
+        for name, value in content.items():
+            if not name.startswith("__"):
+                columns += list(find_number_arrays(value, name)) or [(name, NO_NUMBERS)]
+        yield build_item(columns)

@@ -2,9 +2,8 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from itertools import chain
 from pathlib import Path
 from typing import Any
 from zipfile import ZipFile
@@ -22,11 +21,13 @@ from hesr_model.support.arrays import Array
 _KIND = "NumPy arrays without objects"
 
 
-def build_array_table(path: Path, arrays: Mapping[str, Array], time: str) -> LogTable:
+def build_array_table(
+    path: Path, arrays: Mapping[str, Array], time: str, other_names: Sequence[str] = ()
+) -> LogTable:
     """Make a table as long as the vector `time`, or else as most arrays; raises LogError.
 
     The columns of an array ``q`` are ``q`` or ``q1``, ``q2``, ..; time is its first axis of that
-    length.
+    length. `other_names` are those of what is no array of numbers.
     """
     arrays = {name: np.squeeze(array) for name, array in arrays.items()}
     length_counts = Counter(max(array.shape) for array in arrays.values() if array.size > 1)
@@ -46,7 +47,7 @@ def build_array_table(path: Path, arrays: Mapping[str, Array], time: str) -> Log
             other_arrays.append(f"{name} ({' x '.join(map(str, array.shape)) or '1'})")
             continue
         columns |= _split_columns(name, np.moveaxis(array, array.shape.index(row_count), 0))
-    return build_table(path, columns, other_arrays)
+    return build_table(path, columns, [*other_arrays, *other_names])
 
 
 def _split_columns(name: str, array: Array) -> dict[str, Array]:
@@ -74,8 +75,14 @@ def load_arrays(path: Path) -> dict[str, Any]:
 
 def load_table(path: Path, time: str = "t") -> LogTable:
     """Open a NumPy file as the table of its numbers; see `build_array_table`."""
-    arrays = (find_number_arrays(value, name) for name, value in load_arrays(path).items())
-    return build_array_table(path, dict(chain.from_iterable(arrays)), time)
+    arrays: dict[str, Array] = {}
+    other_names = []
+    for name, value in load_arrays(path).items():
+        number_arrays = dict(find_number_arrays(value, name))
+        arrays |= number_arrays
+        if not number_arrays:
+            other_names.append(name)
+    return build_array_table(path, arrays, time, other_names)
 
 
 def _read_pieces(path: Path, _log_format: LogFormat, max_rows: int) -> Iterator[LogTable]:

@@ -1,5 +1,6 @@
 """Excel workbooks; needs openpyxl."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from hesr_model.errors import LogError
@@ -23,7 +24,9 @@ def _read(path: Path, log_format: LogFormat) -> LogTable:
         )
     (item,) = parse_file(path, "an Excel workbook", "excel:parse", ["openpyxl"])
     (text,) = item.arrays.values()
-    return read_text(path, log_format.columns.names, text.tobytes())
+    table = read_text(path, log_format.columns.names, text.tobytes())
+    other_sheets = [f"sheet {title}" for titles in item.names for title in titles]
+    return replace(table, other_names=(*table.other_names, *other_sheets))
 
 
 FORMAT = table_format("Excel workbook", {".xlsx", ".xlsm"}, _read)

@@ -5,15 +5,14 @@ from pathlib import Path
 from hesr_model.errors import LogError
 from hesr_model.logs.log_format import LogFormat
 from hesr_model.logs.log_table import LogTable
-from hesr_model.logs.parsed_file import has_module, parse_file
+from hesr_model.logs.parsed_file import ParsedItem, has_module, parse_file
 from hesr_model.logs.readers.arrays import build_array_table
 from hesr_model.logs.readers.formats import table_format
 from hesr_model.logs.tables import require_content
-from hesr_model.support.arrays import Array
 from hesr_model.support.extras import install_command
 
 
-def read_hdf5_arrays(path: Path, kind: str, *, transposed: bool = False) -> dict[str, Array]:
+def read_hdf5(path: Path, kind: str, *, transposed: bool = False) -> ParsedItem:
     """Return the arrays of numbers by path with dots; raises LogError that names the `kind`."""
     if not has_module("h5py"):
         raise LogError(
@@ -24,14 +23,13 @@ def read_hdf5_arrays(path: Path, kind: str, *, transposed: bool = False) -> dict
     (item,) = parse_file(
         path, f"a {kind}", "hdf5:parse", ["h5py"], {"kind": kind, "transposed": transposed}
     )
-    return item.arrays
+    return item
 
 
 def _read(path: Path, log_format: LogFormat) -> LogTable:
     require_content(path)
-    return build_array_table(
-        path, read_hdf5_arrays(path, "HDF5 file"), log_format.columns.time_name
-    )
+    item = read_hdf5(path, "HDF5 file")
+    return build_array_table(path, item.arrays, log_format.columns.time_name, item.other_names)
 
 
 FORMAT = table_format("HDF5 file", {".h5", ".hdf5", ".hdf"}, _read)

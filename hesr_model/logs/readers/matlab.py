@@ -7,7 +7,7 @@ from hesr_model.logs.log_table import LogTable
 from hesr_model.logs.parsed_file import parse_file
 from hesr_model.logs.readers.arrays import build_array_table
 from hesr_model.logs.readers.formats import table_format
-from hesr_model.logs.readers.hdf5 import read_hdf5_arrays
+from hesr_model.logs.readers.hdf5 import read_hdf5
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"  # after a header of 512 bytes
 
@@ -23,11 +23,10 @@ def read_matlab(path: Path, *, time: str) -> LogTable:
     with path.open("rb") as file:
         is_hdf5 = file.read(520)[512:] == _HDF5
     if is_hdf5:
-        arrays = read_hdf5_arrays(path, "MATLAB file", transposed=True)
+        item = read_hdf5(path, "MATLAB file", transposed=True)
     else:
         (item,) = parse_file(path, "a MATLAB file", "matlab:parse", ["scipy.io"])
-        arrays = item.arrays
-    return build_array_table(path, arrays, time)
+    return build_array_table(path, item.arrays, time, item.other_names)
 
 
 FORMAT = table_format(
