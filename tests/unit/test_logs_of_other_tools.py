@@ -231,6 +231,7 @@ def test_lists_of_other_lengths_are_named_only_if_they_are_needed(tmp_path: Path
     lists = pa.array([[1.0] * (1 + k % 2) for k in range(ROWS)])
     table = dict(zip(HEADER.split(","), VALUES.T, strict=True))
     structs = pa.array([{"x": value} for value in TAU])
+    table["q1"] = pa.array(Q[:, None].tolist())  # of one entry, without a number in its name
     path = tmp_path / "run.parquet"
     pyarrow.parquet.write_table(pa.table({**table, "image": lists, "extra": structs}), path)
     require_values(inspect_logs([path]).logs[0])

@@ -61,7 +61,8 @@ def _expand_column(name: str, cells: Any) -> Iterator[tuple[str, Array | TextCel
             yield name, TextCell(index=0, text=f"lists of {shortest} to {longest} values")
             return
         for k in range(longest):
-            yield from _expand_column(f"{name}_{k + 1}", pa.compute.list_element(cells, k))
+            entry_name = f"{name}_{k + 1}" if longest > 1 else name
+            yield from _expand_column(entry_name, pa.compute.list_element(cells, k))
     else:
         yield name, _to_array(cells)
 
