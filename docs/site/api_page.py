@@ -47,7 +47,8 @@ ALL = (
 )
 
 HIDDEN = {
-    "Log": "is_checked dropped path sha256 rows split where longest_step jitter gaps period rate",
+    "Log": "is_checked dropped left_out left_over path sha256 rows split where longest_step "
+    "jitter gaps period rate",
     "Robot": "follow reach tree bodies kinematics geometry under_gravity places links slides "
     "parameter_names inertial torque_limits doubts gravity nominal_parameters",
     "RigidBody": "base ridge condition gears sentence rows logs held covariance parameters_for "

@@ -27,7 +27,7 @@ def is_json(start: bytes) -> bool:
 def convert_records(path: Path, text: str) -> tuple[tuple[str, ...], bytes]:
     """Return names, and rows as CSV without a header, of JSON text; raises LogError.
 
-    Inner objects have names with dots, as ``joint.q``, and entries of lists numbers, as ``q_1``.
+    Names of inner objects are joined by dots, numbers of entries of lists by underscores.
     """
     rows: list[Row] = []
     names: dict[str, None] = {}
