@@ -518,7 +518,7 @@ def _find_time_remedy(log: Log, k: int) -> str:
         if has_bursts(log.t) and _changes_at_repeats(log):
             return _SPREAD_REMEDY
         return "[log] duplicates = 'first' leaves out rows that repeat a time stamp"
-    wrap = None if _EPISODES in log.left_over else _find_wrap(log)
+    wrap = _find_wrap(log)
     if wrap is not None:
         return f"[log] wrap = {wrap:.10g} lets a counter of that size go on"
     if step_back > 0.5 * float(log.t[k - 1] - log.t[0]):
@@ -535,7 +535,7 @@ def _changes_at_repeats(log: Log) -> bool:
 
 def _find_wrap(log: Log) -> float | None:
     """Return the size of a counter, in the unit of its stamps, that explains where time falls."""
-    if log.robot is None:
+    if log.robot is None or _EPISODES in log.left_over:
         return None
     unit = abs(float(log.robot.log.units.factors("t", 1)[0]))
     stamps = log.t / unit
