@@ -207,7 +207,8 @@ def _check_angles(lines: Assignments, printer: _Printer) -> list[str]:
     functions = tuple(_ANGLE_FUNCTIONS.values())
     angles: dict[sympy.Expr, None] = {}
     for expression in lines.values():
-        angles |= dict.fromkeys(call.args[0] for call in expression.atoms(*functions))
+        calls = sorted(expression.atoms(*functions), key=sympy.default_sort_key)
+        angles |= dict.fromkeys(call.args[0] for call in calls)
     return [f"far |= !(fabs({_c(printer, angle)}) <= LARGEST_ANGLE);" for angle in angles]
 
 

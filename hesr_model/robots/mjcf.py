@@ -368,7 +368,7 @@ def _find_joints_of_tendon(mj_model: Any, tendon: int) -> set[int]:
     """
     kinds = import_engine().mjtWrap
     joints = set[int]()
-    chains = []
+    chains: list[set[int]] = []
     first = mj_model.tendon_adr[tendon]
     for wrap in range(first, first + mj_model.tendon_num[tendon]):
         kind = kinds(mj_model.wrap_type[wrap])
