@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -24,7 +24,6 @@ from hesr.extras.properties.sliding import chatter, coupling, lag, start, work
 from hesr_model.audit.audit import choose_loads
 from hesr_model.audit.properties import (
     EXPECTATIONS,
-    Figure,
     JointProperties,
     Properties,
     PropertyResult,
@@ -65,12 +64,7 @@ def run_battery(
     Raises ConfigError if an inertia is not valid.
     """
     if body is not None:
-        subjects = [
-            replace(subject, inertia=compute_standing_inertia(*body, subject.model))
-            if subject.model
-            else subject
-            for subject in subjects
-        ]
+        subjects = [_set_standing_inertia(subject, *body) for subject in subjects]
     for subject in subjects:
         _require_inertia(subject)
     jobs = [
@@ -78,19 +72,24 @@ def run_battery(
         for subject in subjects
     ]
     costs = [subject.model.size if subject.model else 0 for subject in subjects]
-    with parallel.results_of(
-        jobs, workers, costs, [subject.name for subject in subjects]
-    ) as results:
+    names = [subject.name for subject in subjects]
+    with parallel.results_of(jobs, workers, costs, names) as results:
         return [next(results) for _ in report_progress(jobs, progress)]
+
+
+def _set_standing_inertia(subject: Subject, robot: Robot, body: RigidBody) -> Subject:
+    """Give a model the inertia of a body; return an FMU of unknown laws as it is."""
+    if subject.model is None:
+        return subject
+    return replace(subject, inertia=compute_standing_inertia(robot, body, subject.model))
 
 
 def _measure_or_read(subject: Subject, *, load: float, checkpoints: Path | None) -> Properties:
     if checkpoints is None or subject.model is None or subject.fmu is not None:
         return measure(subject, load=load)
     hashed_inputs = [subject.model.to_json(), subject.inertia, load, version("hesr")]
-    key = hashlib.sha256(
-        json.dumps(hashed_inputs, sort_keys=True, default=str).encode()
-    ).hexdigest()[:24]
+    hashed_text = json.dumps(hashed_inputs, sort_keys=True, default=str)
+    key = hashlib.sha256(hashed_text.encode()).hexdigest()[:24]
     path = checkpoints / f"{key}.json"
     with suppress(ArtifactError):  # missing or incomplete
         return read_properties(path)[subject.name]
@@ -106,16 +105,11 @@ def measure(subject: Subject, *, load: float = 0.0) -> Properties:
     """
     model = subject.model and replace(subject.model, coupling=None, thermal=())
     with scratch_folder() as folder:
-        fmu = subject.fmu
-        if fmu is None:
-            if model is None:
-                raise ConfigError(f"{subject.name}: model and FMU are both missing.")
-            fmu = export_bare(model, Path(folder, "friction.fmu"))
+        fmu = _provide_fmu(subject, model, folder)
         with FmuInstance(fmu) as instance:
             bench = FrictionBench(instance)
-            joints = bench.joints
-            inertia = _require_inertia(subject, joints)
-            trained_ranges = _find_ranges(model, joints)
+            inertia = _require_inertia(subject, bench.joints)
+            trained_ranges = _find_ranges(model, bench.joints)
             bench.positions = np.array([trained_range.middle for trained_range in trained_ranges])
             speed = np.array([trained_range.speed for trained_range in trained_ranges])
             scale = None
@@ -126,52 +120,66 @@ def measure(subject: Subject, *, load: float = 0.0) -> Properties:
                 )
             except SimulationError as error:
                 # Without steady sliding every property fails.
-                results_by_key = dict.fromkeys(EXPECTATIONS, [_fail_property(error)] * joints)
-        if scale and model and inertia is not None:
+                failures = [_fail_property(error)] * bench.joints
+                results_by_key = dict.fromkeys(EXPECTATIONS, failures)
+        if scale is not None and model is not None and inertia is not None:
             # Prismatic joints obey the same equations, with a mass as inertia.
             rotary_model = replace(model, sliding=())
-            motor_inertia = inertia.tolist()
             drive_fmu = export_drive(
-                rotary_model, Path(folder, "drive.fmu"), inertia=motor_inertia, bare=True
+                rotary_model, folder / "drive.fmu", inertia=inertia.tolist(), bare=True
             )
             with FmuInstance(drive_fmu) as instance:
                 drive_bench = DriveBench(instance, bench.positions)
-                is_loaded = np.array([TAU_LOAD in law.form.inputs for law in rotary_model.laws])
-                runs = {
-                    experiment.__name__: partial(experiment, drive_bench, scale)
-                    for experiment in _DRIVE_EXPERIMENTS
-                }
-                runs[_DRIVE_KEY] = partial(
-                    dissipation,
-                    drive_bench,
-                    scale,
-                    _find_peak_loads(trained_ranges, scale),
-                    is_loaded,
+                results_by_key |= _run_drive_experiments(
+                    drive_bench, scale, rotary_model, trained_ranges
                 )
-                results_by_key |= {key: _run_experiment(run, joints) for key, run in runs.items()}
-    joint_names = model.joints if model else [f"joint {number}" for number in range(1, joints + 1)]
-    is_prismatic = model.slides if model else (False,) * joints
-    return Properties(
-        law=model.law if model else subject.name,
-        robot=model.robot if model else "",
-        tau_load=load,
-        joints=tuple(
-            JointProperties(
-                joint=name,
-                speed=float(speed[j]),
-                level=float(scale.level[j]) if scale else 0.0,
-                deflection=float(scale.deflection[j]) if scale else 0.0,
-                inertia=None if inertia is None else float(inertia[j]),
-                findings={
-                    key: _drop_infinite_figures(results_by_key[key][j]).to_joint_units(
-                        is_prismatic=is_prismatic[j]
-                    )
-                    for key in EXPECTATIONS
-                },
-            )
-            for j, name in enumerate(joint_names)
-        ),
-    )
+
+    law_name = subject.name
+    robot_name = ""
+    joint_names = tuple(f"joint {number}" for number in range(1, bench.joints + 1))
+    is_prismatic = (False,) * bench.joints
+    if model is not None:
+        law_name = model.law
+        robot_name = model.robot
+        joint_names = model.joints
+        is_prismatic = model.slides
+    levels = np.zeros(bench.joints)
+    deflections = np.zeros(bench.joints)
+    if scale is not None:
+        levels = scale.level
+        deflections = scale.deflection
+    joints = [
+        JointProperties(
+            joint=joint_name,
+            speed=float(speed[j]),
+            level=float(levels[j]),
+            deflection=float(deflections[j]),
+            inertia=None if inertia is None else float(inertia[j]),
+            findings=_select_results(results_by_key, j, is_prismatic=is_prismatic[j]),
+        )
+        for j, joint_name in enumerate(joint_names)
+    ]
+    return Properties(law=law_name, robot=robot_name, tau_load=load, joints=tuple(joints))
+
+
+def _provide_fmu(subject: Subject, model: FrictionModel | None, folder: Path) -> Path:
+    """Return the FMU of a subject, or export one of its model to a folder."""
+    if subject.fmu is not None:
+        return subject.fmu
+    if model is None:
+        raise ConfigError(f"{subject.name}: model and FMU are both missing.")
+    return export_bare(model, folder / "friction.fmu")
+
+
+def _select_results(
+    results_by_key: Mapping[str, Sequence[PropertyResult]], j: int, *, is_prismatic: bool
+) -> dict[str, PropertyResult]:
+    """Return the results of joint j in its units, without infinite figures."""
+    findings = {}
+    for key in EXPECTATIONS:
+        property_result = _drop_infinite_figures(results_by_key[key][j])
+        findings[key] = property_result.to_joint_units(is_prismatic=is_prismatic)
+    return findings
 
 
 def _run_motion_experiments(
@@ -181,26 +189,30 @@ def _run_motion_experiments(
     trained_ranges: list[TrainedRange],
     inertia: Array | None,
 ) -> dict[str, list[PropertyResult]]:
+    """Run the experiments of prescribed motion; give a reason for those of a drive."""
     joint_count = bench.joints
-    laws = model.laws if model else (None,) * joint_count
-    state_counts = [None if law is None else len(law.form.memory) for law in laws]
-    loads = [
-        (scale.load,) if law is None else choose_loads(law, trained_range)
-        for law, trained_range in zip(laws, trained_ranges, strict=True)
-    ]
+    state_counts: list[int | None] = [None] * joint_count  # unknown
+    loads: list[tuple[float, ...]] = [(scale.load,)] * joint_count
+    if model is not None:
+        state_counts = [len(law.form.memory) for law in model.laws]
+        loads = [
+            choose_loads(law, trained_range)
+            for law, trained_range in zip(model.laws, trained_ranges, strict=True)
+        ]
+    peak_loads = _find_peak_loads(trained_ranges, scale)
     experiments: dict[str, Callable[[], list[PropertyResult]]] = {
         "presliding": partial(presliding, bench, scale),
         "memory": partial(memory, bench, scale, state_counts),
-        "nested": partial(
-            memory, bench, scale, state_counts, _find_peak_loads(trained_ranges, scale)
-        ),
+        "nested": partial(memory, bench, scale, state_counts, peak_loads),
         "start": partial(start, bench, scale),
         "lag": partial(lag, bench, scale),
         "chatter": partial(chatter, bench, scale, trained_ranges),
         "work": partial(work, bench, trained_ranges, loads),
     }
     driven_names = (experiment.__name__ for experiment in _DRIVE_EXPERIMENTS)
-    reasons = dict.fromkeys((*driven_names, _DRIVE_KEY), _NO_INERTIA if model else _NO_MODEL)
+    # Drive experiments that can run replace these results afterwards.
+    reason = _NO_MODEL if model is None else _NO_INERTIA
+    reasons = dict.fromkeys((*driven_names, _DRIVE_KEY), reason)
     if inertia is None:
         reasons["coupling"] = _NO_INERTIA
     else:
@@ -211,6 +223,21 @@ def _run_motion_experiments(
     }
     return skipped_results | {
         key: _run_experiment(experiment, joint_count) for key, experiment in experiments.items()
+    }
+
+
+def _run_drive_experiments(
+    bench: DriveBench, scale: Scale, model: FrictionModel, trained_ranges: list[TrainedRange]
+) -> dict[str, list[PropertyResult]]:
+    """Run the experiments that drive the joints by a torque."""
+    peak_loads = _find_peak_loads(trained_ranges, scale)
+    is_loaded = np.array([TAU_LOAD in law.form.inputs for law in model.laws])
+    experiments: dict[str, Callable[[], list[PropertyResult]]] = {
+        experiment.__name__: partial(experiment, bench, scale) for experiment in _DRIVE_EXPERIMENTS
+    }
+    experiments[_DRIVE_KEY] = partial(dissipation, bench, scale, peak_loads, is_loaded)
+    return {
+        key: _run_experiment(experiment, bench.joints) for key, experiment in experiments.items()
     }
 
 
@@ -236,18 +263,19 @@ def _fail_property(error: SimulationError) -> PropertyResult:
 
 
 def _drop_infinite_figures(property_result: PropertyResult) -> PropertyResult:
-    figures = (
-        figure
-        if figure.value is None or isfinite(figure.value)
-        else Figure(name=figure.name, value=None, unit=figure.unit)
-        for figure in property_result.figures
-    )
+    figures = []
+    for figure in property_result.figures:
+        if figure.value is None or isfinite(figure.value):
+            figures.append(figure)
+        else:
+            figures.append(replace(figure, value=None))
     return replace(property_result, figures=tuple(figures))
 
 
 def _find_ranges(model: FrictionModel | None, joints: int) -> list[TrainedRange]:
-    sample_time = model.sample_time if model else _SAMPLE_TIME
-    if model and model.trained:
+    """Return the trained ranges of a model, or substitutes, with its sample time."""
+    sample_time = _SAMPLE_TIME if model is None else model.sample_time
+    if model is not None and model.trained:
         return [replace(known_range, sample_time=sample_time) for known_range in model.trained]
     zero_range = (0.0, 0.0)
     dq = (-UNKNOWN_SPEED, UNKNOWN_SPEED)
@@ -265,7 +293,7 @@ def _require_inertia(subject: Subject, joints: int | None = None) -> Array | Non
         inertia = INERTIA.get(model.robot)
     if inertia is None:
         return None
-    joint_count = len(model.laws) if model else joints
+    joint_count = joints if model is None else len(model.laws)
     if joint_count is not None and len(inertia) not in (1, joint_count):
         raise ConfigError(
             f"{subject.name}: {len(inertia)} inertias; expected one, or one for each of the "

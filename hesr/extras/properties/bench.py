@@ -1,6 +1,7 @@
 """Benches that move the joints of a friction FMU, or drive those of a JointDrive."""
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 
 import numpy as np
 
@@ -19,6 +20,12 @@ _EXACT_SLIDING_TIME = 1e4  # [s] of steady sliding with exact integration
 _SLIDING_TIME = 60.0  # [s] of steady sliding without
 
 
+def _name_elements(vector_names: Sequence[str], joints: int) -> list[str]:
+    """Return the names of the elements of vectors, numbered from 1, one vector after another."""
+    numbers = range(1, joints + 1)
+    return [f"{name}[{number}]" for name, number in product(vector_names, numbers)]
+
+
 class _Bench:
     """An FMU with vectors of inputs and outputs, stepped from its own time zero."""
 
@@ -27,12 +34,8 @@ class _Bench:
     ) -> None:
         self.joints = joints
         self._instance = instance
-        self._inputs, self._outputs = (
-            instance.buffer(
-                [f"{name}[{number}]" for name in vector_names for number in range(1, joints + 1)]
-            )
-            for vector_names in (inputs, outputs)
-        )
+        self._inputs = instance.buffer(_name_elements(inputs, joints))
+        self._outputs = instance.buffer(_name_elements(outputs, joints))
         self._rows = self._inputs.values.reshape(len(inputs), joints)
         self._time = 0.0
 
@@ -63,18 +66,14 @@ class FrictionBench(_Bench):
     def __init__(self, instance: FmuInstance) -> None:
         names: set[str] = {variable.name for variable in instance.description.modelVariables}
         joint_count = sum(name.startswith("tau[") for name in names)
-        input_names = [
-            f"{quantity.name}[{number}]"
-            for quantity in INPUTS
-            for number in range(1, max(joint_count, 1) + 1)
-        ]
-        for name in ("tau[1]", *input_names):
+        vector_names = [quantity.name for quantity in INPUTS]
+        for name in ("tau[1]", *_name_elements(vector_names, max(joint_count, 1))):
             if name not in names:
                 raise SimulationError(
                     f"{instance.fmu}: not a friction FMU: '{name}' is missing; it needs the "
                     "inputs dq[i], q[i], tau_load[i] and the outputs tau[i]."
                 )
-        super().__init__(instance, joint_count, [quantity.name for quantity in INPUTS], ["tau"])
+        super().__init__(instance, joint_count, vector_names, ["tau"])
         self.positions = np.zeros(joint_count)
         self.exact = DISCRETISATION in names  # integrates exactly over any step
         self._has_start_mode = START_MODE in names
@@ -94,7 +93,9 @@ class FrictionBench(_Bench):
         In motion friction starts in its steady state if the FMU has one, except with `unmoved`.
         `exact` overrides the discretisation of the law.
         """
-        start_values = {DISCRETISATION: _EXACT} if exact and self.exact else {}
+        start_values = {}
+        if exact and self.exact:
+            start_values[DISCRETISATION] = _EXACT
         if unmoved and self._has_start_mode:
             start_values[START_MODE] = GIVEN
         self._rows[0] = 0.0 if dq is None else dq
@@ -115,15 +116,17 @@ class FrictionBench(_Bench):
 
         The position `q` (K, n) [rad] is constant by default.
         """
-        q = np.broadcast_to(self.positions, dq.shape) if q is None else q
-        load_rows = np.broadcast_to(self._rows[2], dq.shape) if load is None else load
+        if q is None:
+            q = np.broadcast_to(self.positions, dq.shape)
+        if load is None:
+            load = np.broadcast_to(self._rows[2], dq.shape)
         substeps = np.ones(len(dt), dtype=int)
         if not self.exact:
             substeps = np.maximum(np.ceil(dt / _MAX_SUBSTEP).astype(int), 1)
-        rows = np.repeat(np.hstack([dq, q, load_rows]), substeps, axis=0)
-        return np.asarray(
-            self._hold_rows(np.repeat(dt / substeps, substeps), rows)[np.cumsum(substeps) - 1]
-        )
+        rows = np.repeat(np.hstack([dq, q, load]), substeps, axis=0)
+        torque = self._hold_rows(np.repeat(dt / substeps, substeps), rows)
+        last_substeps = np.cumsum(substeps) - 1
+        return np.asarray(torque[last_substeps])
 
 
 class DriveBench(_Bench):

@@ -1,5 +1,8 @@
 """Experiments driven by torque: break-away, holding a load, stick-slip, dissipation."""
 
+from itertools import product
+from typing import NamedTuple
+
 import numpy as np
 
 from hesr.extras.properties.bench import DriveBench
@@ -34,46 +37,52 @@ def dissipation(
     """
     angle = 2.0 * np.pi / _ROWS_PER_CYCLE * np.arange(1, _ROWS_PER_CYCLE * _CYCLE_COUNT + 1)
     dt = np.full(len(angle), _INNER_STEP)
-    no_cycle: tuple[float, float, Array, Array] = (-np.inf, 0.0, np.empty(0), np.empty(0))
-    worst_cycles = [no_cycle] * bench.joints
-    for share in AMPLITUDES:
-        for phase in PHASES[: 2 if is_loaded.any() else 1]:
-            load = 0.5 * peaks * (1.0 + np.cos(2.0 * angle + phase))[:, None]
-            load = np.where(is_loaded, load, scale.load)
-            torque = scale.offset + share * np.sin(angle)[:, None] * scale.level
-            bench.start(
-                load=load[-1],
-                torque=scale.offset,
-                stiffness=scale.level / (_SPRING_STRETCH * scale.deflection),
-                substep=_INNER_STEP,
-            )
-            q, dq, tau = (
-                signal[-_MEASURED_CYCLES * _ROWS_PER_CYCLE :]
-                for signal in bench.run(dt, torque=torque, load=load)
-            )
-            # An offset does no work over a closed cycle.
-            generated = -((tau - scale.offset) * dq).sum(axis=0) * _INNER_STEP / _MEASURED_CYCLES
-            generated = np.where(np.isfinite(generated), generated, np.inf)
-            for j in np.flatnonzero(generated > [cycle[0] for cycle in worst_cycles]):
-                displacement = q[-_ROWS_PER_CYCLE:, j] - bench.positions[j]
-                worst_cycles[j] = (
-                    float(generated[j]),
-                    share,
-                    displacement,
-                    tau[-_ROWS_PER_CYCLE:, j],
-                )
-    return [_judge_dissipation(*cycle) for cycle in worst_cycles]
+    phases = PHASES if is_loaded.any() else PHASES[:1]
+    worst_cycles = [_DrivenCycle(-np.inf, 0.0, np.empty(0), np.empty(0))] * bench.joints
+    for share, phase in product(AMPLITUDES, phases):
+        load = 0.5 * peaks * (1.0 + np.cos(2.0 * angle + phase))[:, None]
+        load = np.where(is_loaded, load, scale.load)
+        torque = scale.offset + share * np.sin(angle)[:, None] * scale.level
+        bench.start(
+            load=load[-1],
+            torque=scale.offset,
+            stiffness=scale.level / (_SPRING_STRETCH * scale.deflection),
+            substep=_INNER_STEP,
+        )
+        signals = bench.run(dt, torque=torque, load=load)
+        q, dq, tau = signals[:, -_MEASURED_CYCLES * _ROWS_PER_CYCLE :]
+        # An offset does no work over a closed cycle.
+        generated = -((tau - scale.offset) * dq).sum(axis=0) * _INNER_STEP / _MEASURED_CYCLES
+        generated = np.where(np.isfinite(generated), generated, np.inf)
+        for j in np.flatnonzero(generated > [cycle.generated for cycle in worst_cycles]):
+            displacement = q[-_ROWS_PER_CYCLE:, j] - bench.positions[j]
+            last_tau = tau[-_ROWS_PER_CYCLE:, j]
+            worst_cycles[j] = _DrivenCycle(float(generated[j]), share, displacement, last_tau)
+    return [_judge_dissipation(cycle) for cycle in worst_cycles]
 
 
-def _judge_dissipation(generated: float, share: float, q: Array, tau: Array) -> PropertyResult:
-    sentence = (
-        f"Under a sine of torque of {share:g} levels it generates {generated:.3g} J per cycle."
-    )
+class _DrivenCycle(NamedTuple):
+    """Last cycle (K,) of a joint that is driven back and forth."""
+
+    generated: float  # energy [J]
+    share: float  # amplitude of the torque in friction levels
+    displacement: Array  # [rad]
+    tau: Array  # [N.m]
+
+
+def _judge_dissipation(cycle: _DrivenCycle) -> PropertyResult:
+    faults = []
+    if cycle.generated > ENERGY_ROUND_OFF:
+        faults.append(
+            f"Under a sine of torque of {cycle.share:g} levels it generates "
+            f"{cycle.generated:.3g} J per cycle."
+        )
+    loop = curve("", 1e3 * cycle.displacement, cycle.tau, closed=True)
     return judge(
-        ("most energy given in a cycle", max(0.0, generated), "J"),
-        ("amplitude of the torque, of the level", share, "1"),
-        faults=[sentence] if generated > ENERGY_ROUND_OFF else [],
-        plot=plot("position", "torque", curve("", 1e3 * q, tau, closed=True)),
+        ("most energy given in a cycle", max(0.0, cycle.generated), "J"),
+        ("amplitude of the torque, of the level", cycle.share, "1"),
+        faults=faults,
+        plot=plot("position", "torque", loop),
     )
 
 
@@ -89,8 +98,8 @@ _MIN_AMPLITUDE_RATIO = 0.8  # ratio of the last two quarters' amplitudes
 
 def stick_slip(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
     """Pull the joints by springs at the speed where their steady curve falls most."""
-    speeds, falls = zip(*(_find_steepest_fall(scale, j) for j in range(bench.joints)), strict=True)
-    pulling_speeds = np.array(speeds)
+    steepest_falls = [_find_steepest_fall(scale, j) for j in range(bench.joints)]
+    pulling_speeds = np.array([speed for speed, _ in steepest_falls])
     level_stretch = STRETCH * scale.length
     seconds = _STRETCHING_TIMES * float(np.max(level_stretch / pulling_speeds))
     bench.start(load=scale.load, torque=scale.offset, stiffness=scale.level / level_stretch)
@@ -101,10 +110,8 @@ def stick_slip(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
     q, dq, _ = bench.run(np.full(rows, _TIME_STEP), link=link_position)
     stretch = link_position - q
     return [
-        _judge_stick_slip(
-            t, stretch[:, j], dq[:, j], speeds[j], falls[j], bool(scale.is_driving[j])
-        )
-        for j in range(bench.joints)
+        _judge_stick_slip(t, stretch[:, j], dq[:, j], speed, fall, bool(scale.is_driving[j]))
+        for j, (speed, fall) in enumerate(steepest_falls)
     ]
 
 
@@ -115,7 +122,9 @@ def _find_steepest_fall(scale: Scale, j: int) -> tuple[float, float]:
     fall = np.max(np.maximum.accumulate(tau) - tau) / scale.level[j]
     slope = np.gradient(tau, speeds)
     steepest_row = int(np.argmin(slope))
-    return float(speeds[steepest_row if slope[steepest_row] < 0.0 else 0]), float(fall)
+    if not slope[steepest_row] < 0.0:  # it falls nowhere, or has no slope: pull slowly
+        steepest_row = 0
+    return float(speeds[steepest_row]), float(fall)
 
 
 def _judge_stick_slip(
@@ -123,9 +132,8 @@ def _judge_stick_slip(
 ) -> PropertyResult:
     half = len(t) // 2
     quarter = 3 * len(t) // 4
-    third_swing, last_swing = (
-        float(np.ptp(swing)) for swing in (stretch[half:quarter], stretch[quarter:])
-    )
+    third_swing = float(np.ptp(stretch[half:quarter]))
+    last_swing = float(np.ptp(stretch[quarter:]))
     slowest = float(np.min(dq[half:]))
     fastest = float(np.max(dq[half:]))
     is_cycling = (
@@ -133,12 +141,17 @@ def _judge_stick_slip(
         and fastest > _MIN_SLIPPING_SPEED * pulling_speed
         and last_swing >= _MIN_AMPLITUDE_RATIO * third_swing
     )
-    slip_times = t[half + 1 :][(dq[half:-1] <= pulling_speed) & (dq[half + 1 :] > pulling_speed)]
-    period = float(np.mean(np.diff(slip_times))) if is_cycling and len(slip_times) > 1 else None
+    is_slipping = (dq[half:-1] <= pulling_speed) & (dq[half + 1 :] > pulling_speed)
+    slip_times = t[half + 1 :][is_slipping]
+    period = None
+    if is_cycling and len(slip_times) > 1:
+        period = float(np.mean(np.diff(slip_times)))
     is_weakening = fall >= MIN_WEAKENING
     is_flat = fall <= _MAX_FLAT_FALL
+    amplitude = 0.0
     outcome = "It ends in steady sliding"
     if is_cycling:
+        amplitude = 0.5 * last_swing
         outcome = (
             f"It cycles between {slowest / pulling_speed:.2g} and "
             f"{fastest / pulling_speed:.2g} times the pulling speed"
@@ -155,7 +168,7 @@ def _judge_stick_slip(
     return PropertyResult(
         verdict="pass" if passes else "fail",
         figures=figures(
-            ("amplitude of the limit cycle", 0.5 * last_swing if is_cycling else 0.0, "rad"),
+            ("amplitude of the limit cycle", amplitude, "rad"),
             ("period of the limit cycle", period, "s"),
             ("pulling speed", pulling_speed, "rad/s"),
             ("fall of the steady curve, of the level", fall, "1"),
@@ -174,6 +187,7 @@ MINUTE = 60.0
 _SLIDING_SPEED = 0.05  # sliding threshold in trained speeds
 _MAX_RAMP_LEVEL = 3.0  # end of a ramp, in friction levels
 _RAMP_STEPS = 1000  # up to the friction level
+_MIN_SHOWN_FALL = 1e-3  # less would print as 0.0 % or be noise
 _MAX_CREEP_RATIO = 2.0  # ratio of displacements on ramps of different rate; pre-sliding has 1
 _LOADING_TIME = 1.0  # [s] of the rise of a load
 _SETTLING_TIME = 1.0  # [s] of rest after it
@@ -210,7 +224,7 @@ def _run_ramp(bench: DriveBench, scale: Scale, seconds: float) -> tuple[Array, A
         is_sliding |= np.abs(outputs[1]) > sliding_speed
         if is_sliding.all():
             break
-    q, _, tau = (np.array(signal) for signal in zip(*rows, strict=True))
+    q, _, tau = np.swapaxes(rows, 0, 1)
     friction = tau - scale.offset
     peak, displacement = np.full((2, bench.joints), np.nan)
     for j in np.flatnonzero(is_sliding):
@@ -229,7 +243,9 @@ def _judge_break_away(peaks: Array, displacements: Array, level: float) -> Prope
                 f"The joint does not slide below {_MAX_RAMP_LEVEL:g} times its friction level."
             ],
         )
-    fall = float((peaks[0] - peaks[-1]) / peaks[0]) if peaks[0] > 0.0 else 0.0
+    fall = 0.0
+    if peaks[0] > 0.0:
+        fall = float((peaks[0] - peaks[-1]) / peaks[0])
     faults = []
     if peaks[0] <= 0.0:
         faults.append("No break-away: the law drives the joint.")
@@ -240,17 +256,17 @@ def _judge_break_away(peaks: Array, displacements: Array, level: float) -> Prope
             "the next."
         )
     if peaks[0] > 0.0 and fall < MIN_BREAKAWAY_FALL:
-        faults.append(
-            f"The break-away torque falls by only {fall:.1%}."
-            if fall > 1e-3
-            else "The break-away torque does not fall with the rate."
-        )
+        if fall > _MIN_SHOWN_FALL:
+            faults.append(f"The break-away torque falls by only {fall:.1%}.")
+        else:
+            faults.append("The break-away torque does not fall with the rate.")
+    peak_curve = curve("", np.log10(level / np.array(RAMPS)), peaks)
     return judge(
         ("fall of the break-away torque", fall, "1"),
         ("break-away torque on the slowest ramp", float(peaks[0]), "N.m"),
         ("break-away torque on the fastest ramp", float(peaks[-1]), "N.m"),
         faults=faults,
-        plot=plot("log10 rate", "break-away", curve("", np.log10(level / np.array(RAMPS)), peaks)),
+        plot=plot("log10 rate", "break-away", peak_curve),
     )
 
 
@@ -260,7 +276,9 @@ def hold(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
     bench.start(load=load, torque=scale.offset)
     _apply_load(bench, scale, load)
     dt = np.full(600, MINUTE / 600)
-    return _judge_drift(np.concatenate([[0.0], np.cumsum(dt[1:])]), bench.run(dt)[0])
+    t = np.concatenate([[0.0], np.cumsum(dt[1:])])
+    q, _, _ = bench.run(dt)
+    return _judge_drift(t, q)
 
 
 def dither(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
@@ -271,7 +289,8 @@ def dither(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
     step_count = round((MINUTE + _SETTLING_TIME) * FREQUENCY * _STEPS_PER_PERIOD)
     dt = np.full(step_count, 1.0 / (FREQUENCY * _STEPS_PER_PERIOD))
     wave = np.sin(2.0 * np.pi / _STEPS_PER_PERIOD * (np.arange(step_count) + 0.5))
-    q = bench.run(dt, torque=scale.offset + load + DITHER * wave[:, None] * scale.holding_torque)[0]
+    torque = scale.offset + load + DITHER * wave[:, None] * scale.holding_torque
+    q, _, _ = bench.run(dt, torque=torque)
     # The mean of each period hides the oscillation.
     mean_position = q.reshape(-1, _STEPS_PER_PERIOD, bench.joints).mean(axis=1)
     mean_position = mean_position[round(_SETTLING_TIME * FREQUENCY) :]
@@ -289,22 +308,23 @@ def _apply_load(bench: DriveBench, scale: Scale, load: Array) -> None:
 
 def _judge_drift(t: Array, q: Array) -> list[PropertyResult]:
     results = []
+    half = len(t) // 2
     for joint_q in q.T:
         drift = float(joint_q[-1] - joint_q[0])
-        drift_rate = float(np.diff(joint_q[len(joint_q) // 2 :]).sum() / (t[-1] - t[len(t) // 2]))
         if not np.isfinite(drift):
-            results.append(
-                judge(("drift in a minute", None, "rad"), faults=["The joint runs away."])
-            )
+            runaway = judge(("drift in a minute", None, "rad"), faults=["The joint runs away."])
+            results.append(runaway)
             continue
-        results.append(
-            judge(
-                ("drift in a minute", drift, "rad"),
-                ("rate of the second half", drift_rate, "rad/s"),
-                faults=["It creeps."] if abs(drift) > MAX_DRIFT else [],
-                plot=plot(
-                    "time", "moved", curve("", t, 1e3 * (joint_q - joint_q[0]), max_points=60)
-                ),
-            )
+        drift_rate = float(np.diff(joint_q[half:]).sum() / (t[-1] - t[half]))
+        faults = []
+        if abs(drift) > MAX_DRIFT:
+            faults.append("It creeps.")
+        drift_curve = curve("", t, 1e3 * (joint_q - joint_q[0]), max_points=60)
+        property_result = judge(
+            ("drift in a minute", drift, "rad"),
+            ("rate of the second half", drift_rate, "rad/s"),
+            faults=faults,
+            plot=plot("time", "moved", drift_curve),
         )
+        results.append(property_result)
     return results

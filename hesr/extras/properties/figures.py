@@ -93,15 +93,19 @@ def _name_curves(axes: Axes) -> None:
 
 def _write(axes: Axes, position: tuple[float, float], alignment: str, text: str) -> None:
     """Write a text above or below the axes at a place in shares of their size."""
-    is_above = position[1] > 0.0
+    gap = -_TEXT_GAP
+    vertical_alignment = "top"
+    if position[1] > 0.0:  # above the axes
+        gap = _TEXT_GAP
+        vertical_alignment = "bottom"
     axes.annotate(
         text,
         position,
         xycoords="axes fraction",
-        xytext=(0.0, _TEXT_GAP if is_above else -_TEXT_GAP),
+        xytext=(0.0, gap),
         textcoords="offset points",
         ha=alignment,
-        va="bottom" if is_above else "top",
+        va=vertical_alignment,
         fontsize=_TEXT_SIZE,
         color=SOFT,
     )

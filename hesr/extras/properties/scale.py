@@ -30,15 +30,16 @@ _UNITS = {
 def curve(label: str, x: Array, y: Array, *, closed: bool = False, max_points: int = 80) -> Curve:
     """Return a line of at most `max_points` finite points (N,), rounded to four digits."""
     is_finite = np.isfinite(x) & np.isfinite(y)
-    x, y = x[is_finite], y[is_finite]
+    x = x[is_finite]
+    y = y[is_finite]
     rows = np.unique(np.linspace(0, len(x) - 1, min(len(x), max_points)).round().astype(int))
     if closed and len(rows):
         rows = np.append(rows, rows[0])
-    rounded_points = [
-        tuple(float(f"{coordinate:.4g}") for coordinate in coordinates[rows])
-        for coordinates in (x, y)
-    ]
-    return Curve(label=label, x=rounded_points[0], y=rounded_points[1])
+    return Curve(label=label, x=_round_values(x[rows]), y=_round_values(y[rows]))
+
+
+def _round_values(values: Array) -> tuple[float, ...]:
+    return tuple(float(f"{value:.4g}") for value in values)
 
 
 def plot(x: str, y: str, *curves: Curve) -> Plot:
@@ -119,16 +120,13 @@ def measure_scale(bench: FrictionBench, speed: Array, load: float) -> Scale:
     length = np.minimum(_LENGTH_TIME * speed, _MAX_LENGTH)
     # All joints reach the same share of their path at once.
     times = _RETURN_PATH * np.max(length) / np.max(creep_speed)
-    tau = bench.move(
-        np.diff(times, prepend=0.0), np.broadcast_to(-creep_speed, (len(times), len(creep_speed)))
-    )
+    returning_speed = np.broadcast_to(-creep_speed, (len(times), len(creep_speed)))
+    tau = bench.move(np.diff(times, prepend=0.0), returning_speed)
     # The deflection is the displacement at half of the torque change after the reversal.
-    return_share = (sliding_torque - tau) / np.where(
-        sliding_torque == tau[-1], 1.0, sliding_torque - tau[-1]
-    )
-    deflections = (times[:, None] * creep_speed)[
-        np.argmax(return_share >= 0.5, axis=0), np.arange(bench.joints)
-    ]
+    torque_change = np.where(sliding_torque == tau[-1], 1.0, sliding_torque - tau[-1])
+    half_rows = np.argmax((sliding_torque - tau) / torque_change >= 0.5, axis=0)
+    displacements = times[:, None] * creep_speed
+    deflections = displacements[half_rows, np.arange(bench.joints)]
     shortest, longest = _DEFLECTION_RANGE
     is_accepted = (deflections >= shortest * length) & (deflections <= longest * length)
     return Scale(
@@ -153,14 +151,14 @@ def compute_standing_inertia(
     if body.robot in INERTIA:
         return INERTIA[body.robot]
     joint_count = robot.n
-    middle = (
-        np.array([trained_range.middle for trained_range in model.trained])
-        if model.trained
-        else np.zeros(joint_count)
-    )
+    middle = np.zeros(joint_count)
+    if model.trained:
+        middle = np.array([trained_range.middle for trained_range in model.trained])
     q: Array = np.tile(middle, (joint_count + 1, 1))
     standstill = np.zeros_like(q)
     # One joint accelerates per row; the last row is gravity.
     tau = robot.torque(body.parameters, q, standstill, np.eye(joint_count + 1, joint_count))
     inertia = np.diag(tau[:joint_count] - tau[joint_count])
-    return tuple(map(float, inertia)) if np.all(inertia > 0.0) else None
+    if not np.all(inertia > 0.0):
+        return None
+    return tuple(map(float, inertia))

@@ -19,11 +19,11 @@ def properties_section(
 ) -> str:
     """Return HTML: a table of properties by joint, then each experiment with its plots."""
     slides = sliding or (False,) * len(law_properties.joints)
+    load_text = format_number(law_properties.tau_load, _DIGITS)
     return render_template(
         "properties.html.j2",
         joints=[joint.joint for joint in law_properties.joints],
-        tau_load=f"{format_number(law_properties.tau_load, _DIGITS)} "
-        f"{unit_of_joints('N.m', sliding)}",
+        tau_load=f"{load_text} {unit_of_joints('N.m', sliding)}",
         sizes=[
             _list_sizes(joint, is_prismatic)
             for joint, is_prismatic in zip(law_properties.joints, slides, strict=True)
@@ -49,7 +49,9 @@ def _list_sizes(joint: properties.JointProperties, is_prismatic: bool) -> list[t
 
 
 def _format_size(value: float | None, unit: str) -> str:
-    return "not known" if value is None else f"{format_number(value, _DIGITS)} {unit}"
+    if value is None:
+        return "not known"
+    return f"{format_number(value, _DIGITS)} {unit}"
 
 
 def _describe_property(
@@ -77,13 +79,13 @@ def _describe_property(
 
 
 def _format_cell(property_result: properties.PropertyResult, expectation: Expectation) -> str:
-    value = property_result.figures[0].value if property_result.figures else None
+    mark = properties.MARKS[property_result.verdict]
+    if not property_result.figures:
+        return mark
+    value = property_result.figures[0].value
     if value is None:
-        return properties.MARKS[property_result.verdict]
-    return (
-        f"{properties.MARKS[property_result.verdict]} "
-        f"{format_number(expectation.factor * value, _DIGITS)}"
-    )
+        return mark
+    return f"{mark} {format_number(expectation.factor * value, _DIGITS)}"
 
 
 def _spell_range(property_figure: properties.Figure) -> str:
@@ -95,7 +97,10 @@ def _spell_range(property_figure: properties.Figure) -> str:
 
 def _draw_plot(key: str, plot: properties.Plot | None) -> dict[str, str]:
     """Return the figure of a check as SVG and its description; both are empty without curves."""
-    drawing = draw_check(plot) if plot else None
-    if plot is None or drawing is None:
-        return {"plot": "", "alt": ""}
+    no_plot = {"plot": "", "alt": ""}
+    if plot is None:
+        return no_plot
+    drawing = draw_check(plot)
+    if drawing is None:
+        return no_plot
     return {"plot": svg(drawing, key), "alt": f"{plot.y} over {plot.x}"}
