@@ -1,13 +1,13 @@
 """Systems of FMUs read from an SSP of any tool."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from math import ceil, isfinite
 from pathlib import Path
 from posixpath import normpath
-from typing import Any, get_args
+from typing import Any, NamedTuple, get_args
 from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
@@ -20,6 +20,7 @@ from hesr.extras.ssp.contents import (
     COUPLING_ANNOTATION,
     NAMESPACES,
     SSD,
+    UnitExponents,
     read_units,
 )
 from hesr.extras.ssp.ssp_graph import (
@@ -30,6 +31,8 @@ from hesr.extras.ssp.ssp_graph import (
     ElementPath,
     Hop,
     ParameterValue,
+    Transformation,
+    Unit,
     convert_to_unit,
     find_conversion,
     format_connector,
@@ -85,6 +88,14 @@ def open_ssp(
             raise reader.name_members(error) from error
 
 
+class _MappingTarget(NamedTuple):
+    """A name that a parameter mapping gives, and how the value is converted."""
+
+    name: str
+    transformation: Transformation | None
+    suppressed: bool
+
+
 @dataclass(frozen=True)
 class _Reader:
     path: Path
@@ -116,13 +127,12 @@ class _Reader:
 
     def read_member(self, name: str, where: str = "", size_limit: int = MAX_ENTRY_BYTES) -> bytes:
         # Sources are URIs, but some tools write plain names, or backslashes.
-        names = self.archive.names
         plain_name = name.replace("\\", "/")
-        candidates = (normpath(candidate) for candidate in (unquote(plain_name), plain_name))
-        member = next((candidate for candidate in candidates if candidate in names), None)
-        if member is None:
-            raise self.build_error(f"{where}{name} is missing.")
-        return self.archive.read(member, size_limit)
+        for candidate in (unquote(plain_name), plain_name):
+            member = normpath(candidate)
+            if member in self.archive.names:
+                return self.archive.read(member, size_limit)
+        raise self.build_error(f"{where}{name} is missing.")
 
     def parse_member(self, name: str, where: str = "") -> ET.Element:
         try:
@@ -147,14 +157,13 @@ class _Reader:
     def read_system(
         self, times: Mapping[str, float | None], start_values: Mapping[str, Any]
     ) -> dict[str, Any]:
+        """Return the data of a `SystemSpec`: all components on one level, and their signals."""
         root = self.parse_member(SSD)
         system = _find_element(root, "ssd:System")
         if system is None:
             raise self.build_error(f"{SSD} contains no system.")
-        where = f"{self.path}: {SSD}"
-        self.read_elements(
-            system, (), read_units(_find_elements(root, "ssd:Units/ssc:Unit"), where)
-        )
+        units = read_units(_find_elements(root, "ssd:Units/ssc:Unit"), f"{self.path}: {SSD}")
+        self.read_elements(system, (), units)
         self.apply_parameters(system, ())
         if not self.fmus:
             raise self.build_refusal(f"{SSD} contains no FMU; a system without any is")
@@ -174,20 +183,13 @@ class _Reader:
         for input_end, output_end, conversion_steps in sorted(
             self.find_sources(), key=lambda connection: self.graph.order[connection[0]]
         ):
-            target, source = (
-                self.name_signal(component_names[element_path], connector)
-                for element_path, connector in (input_end, output_end)
-            )
-            connections[target] = source
+            target = self.name_signal(input_end, component_names)
+            connections[target] = self.name_signal(output_end, component_names)
             conversions[target] = conversion_steps
-        observed = [
-            self.name_signal(component_names[element_path], connector)
-            for element_path, connector in self.list_outputs()
-        ]
+        observed = [self.name_signal(output, component_names) for output in self.list_outputs()]
         system_outputs = {}
         for output, output_source, conversion_steps in self.find_system_outputs():
-            element_path, connector = output_source
-            signal = self.name_signal(component_names[element_path], connector)
+            signal = self.name_signal(output_source, component_names)
             system_outputs[output] = {"signal": signal, "conversions": conversion_steps}
             observed.append(signal)
         run_times = self.choose_times(root, times)
@@ -200,15 +202,7 @@ class _Reader:
             "name": root.get("name", self.path.stem),
             **run_times,
             **self.read_order(system),
-            "components": [
-                {
-                    "name": component_names[element_path],
-                    "fmu": fmu,
-                    "start": self.start_values.get(element_path, {}),
-                }
-                | ({"step": steps[element_path]} if element_path in steps else {})
-                for element_path, fmu in self.fmus.items()
-            ],
+            "components": self.list_components(component_names, steps),
             "connections": connections,
             "conversions": conversions,
             "open_inputs": True,
@@ -216,46 +210,66 @@ class _Reader:
             "outputs": system_outputs,
         }
 
+    def list_components(
+        self, component_names: Mapping[ElementPath, str], steps: Mapping[ElementPath, float]
+    ) -> list[dict[str, Any]]:
+        """Return the data of the components: name, FMU, start values, and step [s] if stated."""
+        components = []
+        for element_path, fmu in self.fmus.items():
+            component: dict[str, Any] = {"name": component_names[element_path], "fmu": fmu}
+            component["start"] = self.start_values.get(element_path, {})
+            if element_path in steps:
+                component["step"] = steps[element_path]
+            components.append(component)
+        return components
+
     def choose_times(self, root: ET.Element, times: Mapping[str, float | None]) -> dict[str, Any]:
+        """Return the times of a run [s], those of the default experiment by default."""
         experiment = _find_element(root, "ssd:DefaultExperiment")
-        experiment_node = ET.Element("none") if experiment is None else experiment
+        if experiment is None:
+            experiment = ET.Element("none")
         start_time = times.get("start")
+        if start_time is None:
+            start_time = read_number(experiment, "startTime", 0.0, SSD)
         stop_time = times.get("stop")
-        start_time = (
-            read_number(experiment_node, "startTime", 0.0, SSD)
-            if start_time is None
-            else start_time
-        )
-        if stop_time is None and experiment_node.get("stopTime") is None:
-            raise ArgumentError(
-                f"{self.path}: the default experiment has no stopTime; give 'stop'."
-            )
-        stop_time = (
-            read_number(experiment_node, "stopTime", 0.0, SSD) if stop_time is None else stop_time
-        )
+        if stop_time is None:
+            if experiment.get("stopTime") is None:
+                raise ArgumentError(
+                    f"{self.path}: the default experiment has no stopTime; give 'stop'."
+                )
+            stop_time = read_number(experiment, "stopTime", 0.0, SSD)
         require_times(start_time, stop_time, str(self.path))
-        step_size = times.get("step")
-        if step_size is not None:
-            read_step(f"{step_size:g}", f"{self.path}: 'step'")
-            return {"begin": start_time, "stop": stop_time, "step": step_size}
+        step = times.get("step")
+        if step is not None:
+            read_step(f"{step:g}", f"{self.path}: 'step'")
+        else:
+            step = self.read_stated_step(root)
+            if step is not None:
+                stop_time = fit_stop(start_time, stop_time, step, str(self.path))
+            else:
+                step = self.choose_step(stop_time - start_time)
+        return {"begin": start_time, "stop": stop_time, "step": step}
+
+    def read_stated_step(self, root: ET.Element) -> float | None:
+        """Return the step [s] of an annotation, None without any."""
         for tag, key in _STEP_ANNOTATIONS:
             node = root.find(tag)
-            if node is not None and (text := node.get(key)):
-                step_size = read_step(text, f"{self.path}: {SSD}: {key}")
-                stop_time = fit_stop(start_time, stop_time, step_size, str(self.path))
-                return {"begin": start_time, "stop": stop_time, "step": step_size}
-        steps = [
-            float(model_description_.defaultExperiment.stepSize)
-            for fmu in self.fmus.values()
-            if (model_description_ := model_description(fmu)).defaultExperiment
-            and model_description_.defaultExperiment.stepSize
-        ]
-        row_count = ceil((stop_time - start_time) / min(steps) - 1e-6) if steps else _DEFAULT_ROWS
-        return {
-            "begin": start_time,
-            "stop": stop_time,
-            "step": (stop_time - start_time) / max(row_count, 1),
-        }
+            text = None if node is None else node.get(key)
+            if text:
+                return read_step(text, f"{self.path}: {SSD}: {key}")
+        return None
+
+    def choose_step(self, duration: float) -> float:
+        """Return the shortest step [s] of the FMUs that fits into a duration [s]."""
+        steps = []
+        for fmu in self.fmus.values():
+            experiment = model_description(fmu).defaultExperiment
+            if experiment and experiment.stepSize:
+                steps.append(float(experiment.stepSize))
+        row_count = _DEFAULT_ROWS
+        if steps:
+            row_count = ceil(duration / min(steps) - 1e-6)  # round-off gives no further row
+        return duration / max(row_count, 1)
 
     def read_order(self, system: ET.Element) -> dict[str, str]:
         """Return the order of the coupling in our annotation; SSPs of other tools have none."""
@@ -322,52 +336,25 @@ class _Reader:
     def read_connectors(
         self, node: ET.Element, element_path: ElementPath, units: Mapping[str, Any]
     ) -> None:
+        type_prefix = f"{{{_PREFIXES['ssc']}}}"
         for connector in _find_elements(node, "ssd:Connectors/ssd:Connector"):
             name = self.read_attribute(connector, "name", f"a connector of '{node.get('name')}'")
-            kind = next(
-                (child for child in connector if child.tag.startswith(f"{{{_PREFIXES['ssc']}}}")),
-                None,
-            )
-            if any(
-                connector.find(f"{prefix}:Dimension", _PREFIXES) is not None
-                for prefix in ("ssc", "ssd")
-            ):
-                raise self.build_refusal(
-                    f"connector '{format_connector((element_path, name))}' is an array, which is"
-                )
-            unit = None if kind is None else kind.get("unit")
+            for dimension in ("ssc:Dimension", "ssd:Dimension"):
+                if _find_element(connector, dimension) is not None:
+                    end = format_connector((element_path, name))
+                    raise self.build_refusal(f"connector '{end}' is an array, which is")
+            types = [child for child in connector if child.tag.startswith(type_prefix)]
+            unit_name = types[0].get("unit") if types else None
             self.graph.kinds[element_path, name] = connector.get("kind", "")
-            self.graph.units[element_path, name] = (unit, units.get(unit)) if unit else None
+            self.graph.units[element_path, name] = _find_unit(unit_name, units)
 
     def read_connection(self, node: ET.Element, system_path: ElementPath) -> None:
-        ends: list[ConnectorName] = []
-        for end in ("start", "end"):
-            # OMSimulator writes an empty name for the system.
-            element = node.get(f"{end}Element") or None
-            element_path = system_path if element is None else (*system_path, element)
-            name = self.read_attribute(node, f"{end}Connector", "a connection")
-            if element_path not in self.element_paths:
-                raise self.build_error(
-                    f"connection of '{format_connector((element_path, name))}': '{element}' is "
-                    "not a component of the system."
-                )
-            if element_path not in self.fmus and (element_path, name) not in self.graph.kinds:
-                raise self.build_error(
-                    f"connection of '{format_connector((element_path, name))}': the system has "
-                    "no such connector."
-                )
-            if node.get(f"{end}Indices"):
-                raise self.build_refusal(
-                    f"connection of '{format_connector((element_path, name))}': an index is"
-                )
-            ends.append((element_path, name))
-        is_source = [
-            self.graph.kinds.get(end)
-            in (_SYSTEM_SOURCE_KINDS if end[0] == system_path else _SOURCE_KINDS)
-            for end in ends
-        ]
+        """Add a connection of two connectors of a system or its elements to the graph."""
+        source = self.read_connection_end(node, "start", system_path)
+        target = self.read_connection_end(node, "end", system_path)
         # The order of start and end does not state a direction.
-        source, target = ends[::-1] if is_source[1] and not is_source[0] else ends
+        if self.is_source(target, system_path) and not self.is_source(source, system_path):
+            source, target = target, source
         where = f"connection '{format_connector(target)}' = '{format_connector(source)}'"
         hop = Hop(
             target=target,
@@ -376,10 +363,36 @@ class _Reader:
         )
         self.graph.add(source, hop)
 
+    def read_connection_end(
+        self, node: ET.Element, end: str, system_path: ElementPath
+    ) -> ConnectorName:
+        """Return the connector at the "start" or "end" of a connection."""
+        # OMSimulator writes an empty name for the system.
+        element = node.get(f"{end}Element")
+        element_path = (*system_path, element) if element else system_path
+        name = self.read_attribute(node, f"{end}Connector", "a connection")
+        where = f"connection of '{format_connector((element_path, name))}'"
+        if element_path not in self.element_paths:
+            raise self.build_error(f"{where}: '{element}' is not a component of the system.")
+        if element_path not in self.fmus and (element_path, name) not in self.graph.kinds:
+            raise self.build_error(f"{where}: the system has no such connector.")
+        if node.get(f"{end}Indices"):
+            raise self.build_refusal(f"{where}: an index is")
+        return element_path, name
+
+    def is_source(self, connector: ConnectorName, system_path: ElementPath) -> bool:
+        """Return whether a connector gives values within a system."""
+        kind = self.graph.kinds.get(connector)
+        if connector[0] == system_path:
+            return kind in _SYSTEM_SOURCE_KINDS
+        return kind in _SOURCE_KINDS
+
     def find_sources(self) -> Iterator[tuple[ConnectorName, ConnectorName, tuple[Conversion, ...]]]:
         """Yield input, output and conversions of connected components."""
         for source in list(self.graph.hops):
-            for path in self.graph.find_paths(source) if source[0] in self.fmus else ():
+            if source[0] not in self.fmus:
+                continue
+            for path in self.graph.find_paths(source):
                 if self.graph.kinds.get(source) in ("calculatedParameter", "constant"):
                     raise self.build_refusal(
                         f"connection of the parameter '{format_connector(source)}' is"
@@ -404,11 +417,12 @@ class _Reader:
             for node, kind in self.graph.kinds.items()
             if node[0] in self.fmus and kind in ("output", "calculatedParameter", "local")
         ]
-        return shown_outputs or [
-            (element_path, name)
-            for element_path, variables in self.graph.variables.items()
-            for name in variables.feedthrough
-        ]
+        if shown_outputs:
+            return shown_outputs
+        outputs: list[ConnectorName] = []
+        for element_path, variables in self.graph.variables.items():
+            outputs += [(element_path, name) for name in variables.feedthrough]
+        return outputs
 
     def apply_parameters(self, node: ET.Element, element_path: ElementPath) -> None:
         """Apply the parameter bindings of an element, which replace those of inner ones."""
@@ -418,23 +432,34 @@ class _Reader:
             if binding.get("sourceBase") == "component":
                 raise self.build_refusal(f"{where}: a parameter source inside an FMU is")
             source = binding.get("source")
-            parameter_sets = (
-                _find_elements(binding, "ssd:ParameterValues/ssv:ParameterSet")
-                if source is None
-                else [self.parse_member(source, f"{where}: ")]
-            )
+            if source is None:
+                parameter_sets = _find_elements(binding, "ssd:ParameterValues/ssv:ParameterSet")
+            else:
+                parameter_sets = [self.parse_member(source, f"{where}: ")]
             values = self.read_values(parameter_sets, binding.get("prefix", ""), where)
             mapping = self.read_mapping(binding, where)
             if mapping is not None:
-                names = [name for name, _ in values]
-                self.parameters.compare(f"the values of {where}", mapping, names)
-                self.parameters.compare(f"the mapping of {where}", names, mapping)
-                values = [
-                    (target, replace(value, **conversion_options))
-                    for name, value in values
-                    for target, conversion_options in mapping.get(name, ())
-                ]
+                values = self.map_values(values, mapping, where)
             self.assign_all(element_path, values, where)
+
+    def map_values(
+        self,
+        values: list[tuple[str, ParameterValue]],
+        mapping: Mapping[str, list[_MappingTarget]],
+        where: str,
+    ) -> list[tuple[str, ParameterValue]]:
+        """Return values by the names of their targets, and record what does not match."""
+        names = [name for name, _ in values]
+        self.parameters.compare(f"the values of {where}", mapping, names)
+        self.parameters.compare(f"the mapping of {where}", names, mapping)
+        mapped_values = []
+        for name, value in values:
+            for target in mapping.get(name, ()):
+                mapped_value = replace(
+                    value, transformation=target.transformation, suppressed=target.suppressed
+                )
+                mapped_values.append((target.name, mapped_value))
+        return mapped_values
 
     def read_values(
         self, parameter_sets: list[ET.Element], prefix: str, where: str
@@ -458,84 +483,82 @@ class _Reader:
         assigned = [name for name, value in values if self.assign(element_path, name, value)]
         names = [name for name, _ in values]
         if len(assigned) < len(names):
-            known = [*assigned, *self.list_parameters(element_path)]
+            known_names = [*assigned, *self.list_parameters(element_path)]
             homes = {
                 ".".join(inner_path): variables.names
                 for inner_path, variables in self.graph.variables.items()
                 if inner_path != element_path
             }
-            self.parameters.compare(where, names, known, homes)
+            self.parameters.compare(where, names, known_names, homes)
 
     def list_parameters(self, outer_path: ElementPath) -> Iterator[str]:
         """Yield the hierarchical names of what can be set below an element."""
         for inner_path in self.element_paths:
             if inner_path[: len(outer_path)] != outer_path:
                 continue
-            prefix = "".join(f"{name}." for name in inner_path[len(outer_path) :])
-            variables = self.graph.variables.get(inner_path)
-            names = (
-                [name for node, name in self.graph.kinds if node == inner_path]
-                if variables is None
-                else variables.names
-            )
+            prefix = _compose_prefix(inner_path, outer_path)
+            if inner_path in self.graph.variables:
+                names: Iterable[str] = self.graph.variables[inner_path].names
+            else:
+                names = [name for node, name in self.graph.kinds if node == inner_path]
             yield from (f"{prefix}{name}" for name in names)
 
     def read_mapping(
         self, binding: ET.Element, where: str
-    ) -> dict[str, list[tuple[str, dict[str, Any]]]] | None:
+    ) -> dict[str, list[_MappingTarget]] | None:
+        """Return the targets of each name of a parameter mapping; None without a mapping."""
         node = _find_element(binding, "ssd:ParameterMapping")
         if node is None:
             return None
         if node.get("sourceBase") == "component":
             raise self.build_refusal(f"{where}: a parameter mapping inside an FMU is")
         source = node.get("source")
-        targets_by_name: dict[str, list[tuple[str, dict[str, Any]]]] = {}
-        root = node if source is None else self.parse_member(source, f"{where}: ")
-        for entry in root.iter(f"{{{_PREFIXES['ssm']}}}MappingEntry"):
-            name, target = (
-                self.read_attribute(entry, key, f"{where}: a mapping")
-                for key in ("source", "target")
+        if source is not None:
+            node = self.parse_member(source, f"{where}: ")
+        targets_by_name: dict[str, list[_MappingTarget]] = {}
+        for entry in node.iter(f"{{{_PREFIXES['ssm']}}}MappingEntry"):
+            name = self.read_attribute(entry, "source", f"{where}: a mapping")
+            target = _MappingTarget(
+                name=self.read_attribute(entry, "target", f"{where}: a mapping"),
+                transformation=read_transformation(entry, f"{where}: mapping of '{name}'"),
+                suppressed=entry.get("suppressUnitConversion") in TRUE,
             )
-            conversion_options = {
-                "transformation": read_transformation(entry, f"{where}: mapping of '{name}'"),
-                "suppressed": entry.get("suppressUnitConversion") in TRUE,
-            }
-            targets_by_name.setdefault(name, []).append((target, conversion_options))
+            targets_by_name.setdefault(name, []).append(target)
         return targets_by_name
 
     def read_value(
         self, parameter: ET.Element, units: Mapping[str, Any], where: str
     ) -> ParameterValue:
-        for node in parameter:
-            kind = node.tag.rpartition("}")[2]
-            if kind in ("Dimension", "Binary") or (text := node.get("value")) is None:
-                raise self.build_refusal(f"{where} is an array or of type {kind}, which is")
-            if kind in ("String", "Enumeration"):
-                return ParameterValue(value=text)
-            if kind == "Boolean":
-                if text.lower() not in (*TRUE, *FALSE):
-                    raise self.build_error(f"{where} is '{text}'; write true or false.")
-                return ParameterValue(value=text.lower() in TRUE)
-            try:
-                number = int(text) if "Int" in kind else float(text)
-            except ValueError as error:
-                hint = "; write a decimal point" if _DECIMAL_COMMA.fullmatch(text) else ""
-                raise self.build_error(
-                    f"{where} is '{text}', which is not of type {kind}{hint}."
-                ) from error
-            if not isfinite(number):
-                raise self.build_error(f"{where} is '{text}'; it must be a finite number.")
-            unit_name = node.get("unit")
-            return ParameterValue(
-                value=number, unit=(unit_name, units.get(unit_name)) if unit_name else None
-            )
-        raise self.build_error(f"{where} has no value.")
+        """Return the value of a parameter, which its first child states, with its unit."""
+        node = next(iter(parameter), None)
+        if node is None:
+            raise self.build_error(f"{where} has no value.")
+        kind = node.tag.rpartition("}")[2]
+        text = node.get("value")
+        if kind in ("Dimension", "Binary") or text is None:
+            raise self.build_refusal(f"{where} is an array or of type {kind}, which is")
+        if kind in ("String", "Enumeration"):
+            return ParameterValue(value=text)
+        if kind == "Boolean":
+            if text.lower() not in (*TRUE, *FALSE):
+                raise self.build_error(f"{where} is '{text}'; write true or false.")
+            return ParameterValue(value=text.lower() in TRUE)
+        try:
+            number = int(text) if "Int" in kind else float(text)
+        except ValueError as error:
+            sentence = f"{where} is '{text}', which is not of type {kind}"
+            if _DECIMAL_COMMA.fullmatch(text):
+                sentence += "; write a decimal point"
+            raise self.build_error(f"{sentence}.") from error
+        if not isfinite(number):
+            raise self.build_error(f"{where} is '{text}'; it must be a finite number.")
+        return ParameterValue(value=number, unit=_find_unit(node.get("unit"), units))
 
     def assign(self, outer_path: ElementPath, name: str, parameter: ParameterValue) -> bool:
         """Set a parameter below an element by its hierarchical name; return whether it exists."""
         exists = False
         for inner_path in self.element_paths:
-            prefix = "".join(f"{name_part}." for name_part in inner_path[len(outer_path) :])
+            prefix = _compose_prefix(inner_path, outer_path)
             if inner_path[: len(outer_path)] != outer_path or not name.startswith(prefix):
                 continue
             inner_name = name.removeprefix(prefix)
@@ -557,6 +580,10 @@ class _Reader:
         connector: ConnectorName | None = None,
         path: tuple[Hop, ...] = (),
     ) -> bool:
+        """Set a variable of a component and return whether it exists.
+
+        A value of a `connector` is converted along its `path` to the component.
+        """
         variables = self.graph.variables[element_path]
         try:
             elements = variables.elements(name)
@@ -564,30 +591,70 @@ class _Reader:
             return False
         where = f"{self.path}: component '{'.'.join(element_path)}': parameter '{name}'"
         for element in elements:
-            value = parameter.value
-            unit = None if parameter.suppressed else parameter.unit
-            target_unit = connector and self.graph.find_unit(connector)
-            if unit and not connector:
-                value = convert_to_unit(variables, element, value, unit, where)
-            elif unit and target_unit:
-                value = find_conversion(unit, target_unit, where)(value)
-            if parameter.transformation:
-                value = parameter.transformation.apply(value, where)
-            if isinstance(value, str | bool):
-                for transformation in (hop.transformation for hop in path if hop.transformation):
-                    value = transformation.apply(value, where)
-            elif connector:
-                for step in self.graph.find_conversions(connector, path, target_unit or unit):
-                    value = step(value)
+            if connector is None:
+                value = _convert_to_variable(parameter, variables, element, where)
+            else:
+                value = self.convert_along_path(parameter, connector, path, where)
             self.start_values.setdefault(element_path, {})[element] = value
         return True
 
-    def name_signal(self, component: str, connector: str) -> str:
+    def convert_along_path(
+        self,
+        parameter: ParameterValue,
+        connector: ConnectorName,
+        path: tuple[Hop, ...],
+        where: str,
+    ) -> Any:
+        """Return a value in the unit of a connector, converted along its path to a component."""
+        value = parameter.value
+        unit = None if parameter.suppressed else parameter.unit
+        connector_unit = self.graph.find_unit(connector)
+        if unit and connector_unit:
+            value = find_conversion(unit, connector_unit, where)(value)
+        if parameter.transformation:
+            value = parameter.transformation.apply(value, where)
+        if isinstance(value, str | bool):  # without unit
+            for hop in path:
+                if hop.transformation:
+                    value = hop.transformation.apply(value, where)
+            return value
+        for step in self.graph.find_conversions(connector, path, connector_unit or unit):
+            value = step(value)
+        return value
+
+    def name_signal(self, signal: ConnectorName, component_names: Mapping[ElementPath, str]) -> str:
+        """Return the name of a component's connector in the flat system."""
+        element_path, connector = signal
+        component = component_names[element_path]
         if not connector or re.search(r"\s", connector):
             raise self.build_refusal(
                 f"connector '{connector}' of '{component}': names with spaces are"
             )
         return f"{component}.{connector}"
+
+
+def _convert_to_variable(
+    parameter: ParameterValue, variables: Variables, element: str, where: str
+) -> Any:
+    """Return a value in the unit of a variable of a component."""
+    value = parameter.value
+    if parameter.unit and not parameter.suppressed:
+        value = convert_to_unit(variables, element, value, parameter.unit, where)
+    if parameter.transformation:
+        value = parameter.transformation.apply(value, where)
+    return value
+
+
+def _find_unit(unit_name: str | None, units: Mapping[str, UnitExponents]) -> Unit | None:
+    """Return a unit with its exponents, None if those are unknown; None without a name."""
+    if not unit_name:
+        return None
+    return unit_name, units.get(unit_name)
+
+
+def _compose_prefix(inner_path: ElementPath, outer_path: ElementPath) -> str:
+    """Return the names of elements between two, each with a dot, before those of variables."""
+    return "".join(f"{name}." for name in inner_path[len(outer_path) :])
 
 
 def _find_element(node: ET.Element, path: str) -> ET.Element | None:
