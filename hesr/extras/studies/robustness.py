@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -49,16 +50,13 @@ def run_sweeps(
     for tracked_row in tracked:
         if not tracked_row.failures:
             scheme = replace(tracked_row.scheme, change=_UNCHANGED)
-            rmse = tracked_row.rmse
-            last_errors = tracked_row.last
-            short_row = replace(
+            tracked_by_row[scheme, tracked_row.law] = replace(
                 tracked_row,
                 scheme=scheme,
-                rmse=rmse[:_MOTION_COUNT],
-                last=last_errors[:_MOTION_COUNT],
+                rmse=tracked_row.rmse[:_MOTION_COUNT],
+                last=tracked_row.last[:_MOTION_COUNT],
                 trace=None,
             )
-            tracked_by_row[scheme, tracked_row.law] = short_row
     missing_rows = [row for row in rows if (row.scheme, row.law) not in tracked_by_row]
     new_rows = loop.track(
         missing_rows, motions(loop.tracking)[:_MOTION_COUNT], loop.tracking.duration, "robustness"
@@ -71,37 +69,33 @@ def run_sweeps(
 
 def run_overcompensation(loop: StudyLoop) -> list[Overcompensation]:
     """Find the lowest factor on friction compensation that makes each loop cycle."""
-    sources: tuple[VelocitySource, ...] = ("desired", "measured", "filtered")
+    velocity_sources: tuple[VelocitySource, ...] = ("desired", "measured", "filtered")
     cases = [
-        (law_name, Scheme(compensation="servo_inversion", source=source))
-        for law_name in loop.tracking.sources
-        for source in sources
+        (law_name, Scheme(compensation="servo_inversion", source=velocity_source))
+        for law_name, velocity_source in product(loop.tracking.sources, velocity_sources)
     ]
     offset = np.array(loop.tracking.offset)
-    rest_motion = LoopMotion.from_trajectory(
-        Sine(offset=offset, amplitude=np.zeros(len(offset)), frequency=1.0)
-    )
+    standstill = Sine(offset=offset, amplitude=np.zeros(len(offset)), frequency=1.0)
     rows = [
         loop.row(law_name, replace(scheme, friction_gain=factor))
-        for law_name, scheme in cases
-        for factor in FACTORS
+        for (law_name, scheme), factor in product(cases, FACTORS)
     ]
-    tracked = loop.track(rows, [rest_motion], _REST_DURATION, "over-compensation")
+    rest_motions = [LoopMotion.from_trajectory(standstill)]
+    tracked = loop.track(rows, rest_motions, _REST_DURATION, "over-compensation")
     results = []
     for case_index, (law_name, scheme) in enumerate(cases):
-        errors = [
-            tracked_row.rmse[0]
-            for tracked_row in tracked[case_index * len(FACTORS) : (case_index + 1) * len(FACTORS)]
-        ]
-        cycling_factors = (
-            factor
-            for factor, error in zip(FACTORS, errors, strict=True)
-            if not np.all(error < CYCLING)  # also NaN of a failed run
-        )
-        results.append(
-            Overcompensation(law=law_name, scheme=scheme, factor=next(cycling_factors, None))
-        )
+        first_row = case_index * len(FACTORS)
+        factor = _find_cycling_factor(tracked[first_row : first_row + len(FACTORS)])
+        results.append(Overcompensation(law=law_name, scheme=scheme, factor=factor))
     return results
+
+
+def _find_cycling_factor(tracked: Sequence[Tracked]) -> float | None:
+    """Return the lowest of `FACTORS`, one for each row, whose loop cycles at rest."""
+    for factor, tracked_row in zip(FACTORS, tracked, strict=True):
+        if not np.all(tracked_row.rmse[0] < CYCLING):  # also NaN of a failed run
+            return factor
+    return None
 
 
 def _build_rows(loop: StudyLoop, payloads: Mapping[float, Path]) -> Iterator[LoopRow]:
@@ -135,13 +129,12 @@ def _vary_setting(
         late_setting = replace(setting, arm={"latency": latency}, gains=changed_gains)
         yield f"latency {1e3 * latency:g} ms", late_setting
     for error in GAIN_ERRORS:
-        wrong_gains = {
-            name: tuple(error * gain for gain in getattr(gains, name)) for name in ("Kv", "Ki")
+        wrong_values = {
+            "Kv": tuple(error * gain for gain in gains.Kv),
+            "Ki": tuple(error * gain for gain in gains.Ki),
         }
-        yield (
-            f"servo gains x {error:g}",
-            replace(setting, gains=gains.model_copy(update=wrong_gains)),
-        )
+        wrong_gains = gains.model_copy(update=wrong_values)
+        yield f"servo gains x {error:g}", replace(setting, gains=wrong_gains)
     noise = tuple(NOISE * sigma for sigma in setting.noise)
     yield f"torque noise x {NOISE:g}", replace(setting, arm={"tau_meas_noise": noise})
 

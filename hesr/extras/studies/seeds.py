@@ -49,6 +49,29 @@ def run_seeds(
 ) -> Seeds:
     """Run the prediction part of a twin's study over draws; the first has the study's seed."""
     study = Study.read(path)
+    law_names = tuple(laws or study.laws)
+    _require_draws(study, path, seeds, law_names)
+    jobs = [
+        partial(simulate_draw, study, study.seed + draw_index, law_names)
+        for draw_index in range(seeds)
+    ]
+    names = [f"draw {number}" for number in range(1, seeds + 1)]
+    with parallel.results_of(jobs, names=names) as results:
+        draws = [next(results) for _ in report_progress(jobs, progress)]
+    reference = REFERENCE if REFERENCE in law_names else law_names[0]
+    tests = {}
+    for test in study.logs.test:
+        tests[test] = _summarise_scores([draw[test] for draw in draws], reference)
+    return Seeds(
+        seeds=seeds,
+        joints=RobotDescription.read(study.robot).joints,
+        reference=reference,
+        tests=tests,
+    )
+
+
+def _require_draws(study: Study, path: Path, seeds: int, law_names: Sequence[str]) -> None:
+    """Refuse a study whose draws cannot be simulated or compared."""
     if study.twin is None:
         raise ArgumentError(f"{path}: 'seeds' needs a digital twin; this study has measured logs.")
     if study.twin.truth is not None:
@@ -59,27 +82,8 @@ def run_seeds(
         raise ArgumentError(f"{path}: 'seeds' needs test sets; add the table 'logs.test'.")
     if seeds < MIN_DRAWS:
         raise ArgumentError(f"'seeds' is {seeds}; at least {MIN_DRAWS} are needed.")
-    law_names = tuple(laws or study.laws)
     if not law_names:
         raise ArgumentError(f"{path}: 'seeds' needs the key 'laws', or 'quick'.")
-    jobs = [
-        partial(simulate_draw, study, study.seed + draw_index, law_names)
-        for draw_index in range(seeds)
-    ]
-    with parallel.results_of(
-        jobs, names=[f"draw {draw_index + 1}" for draw_index in range(seeds)]
-    ) as results:
-        draws = [next(results) for _ in report_progress(jobs, progress)]
-    reference = REFERENCE if REFERENCE in law_names else law_names[0]
-    return Seeds(
-        seeds=seeds,
-        joints=RobotDescription.read(study.robot).joints,
-        reference=reference,
-        tests={
-            test: _summarise_scores([draw[test] for draw in draws], reference)
-            for test in study.logs.test
-        },
-    )
 
 
 def simulate_draw(study: Study, seed: int, laws: Sequence[str]) -> Errors:
@@ -89,17 +93,14 @@ def simulate_draw(study: Study, seed: int, laws: Sequence[str]) -> Errors:
     plant = Plant.read(study.twin.plant)
     noise_seed = int(rng.integers(2**31))
     joint_count = len(plant.joints)
-    levels, viscosities = (
-        np.exp(rng.normal(0.0, deviation, joint_count)) for deviation in (LEVEL, VISCOSITY)
-    )
+    # The order of draws decides the numbers of a seed.
+    levels = np.exp(rng.normal(0.0, LEVEL, joint_count))
+    viscosities = np.exp(rng.normal(0.0, VISCOSITY, joint_count))
+    arm_recordings: list[Recording] = []
     with load_arm(plant, signals=servo_signals(plant, levels, viscosities)) as arm:
-        arm_recordings = [
-            recording
-            for motion in Motions.read(study.twin.motions).motions
-            for recording in record_directions(
-                arm, _draw_motion(motion, arm.limits, rng), noise_seed
-            )
-        ]
+        for motion in Motions.read(study.twin.motions).motions:
+            drawn_motion = _draw_motion(motion, arm.limits, rng)
+            arm_recordings += record_directions(arm, drawn_motion, noise_seed)
     return compute_errors(study, arm_recordings, laws, partial(fit_models, seed=seed, workers=1))
 
 
@@ -133,31 +134,38 @@ def compute_errors(
     for test, names in study.logs.test.items():
         test_records = select_records(names)
         predictions = scores.predict_models(models, scores.make_causal(test_records))
-        predictions[ORACLE] = [
-            [truths[name][:, j] for name in names] for j in range(len(test_records))
-        ]
+        test_truths = [truths[name] for name in names]
+        predictions[ORACLE] = [_select_joint(test_truths, j) for j in range(len(test_records))]
         errors[test] = {
-            law_name: [
-                score(joint_records, tau_predicted).rmse
-                for joint_records, tau_predicted in zip(test_records, law_predictions, strict=True)
-            ]
+            law_name: _compute_rmse(test_records, law_predictions)
             for law_name, law_predictions in predictions.items()
         }
     return errors
+
+
+def _select_joint(torques: Sequence[Array], j: int) -> list[Array]:
+    """Return the torque (N,) of joint j on each log, of those (N, n) of all joints."""
+    return [torque[:, j] for torque in torques]
+
+
+def _compute_rmse(
+    records: Sequence[Sequence[FrictionRecord]], predictions: Sequence[Sequence[Array]]
+) -> list[float]:
+    """Return the RMS error [N.m] of predictions [joint][log] on each joint."""
+    return [
+        score(joint_records, tau_predicted).rmse
+        for joint_records, tau_predicted in zip(records, predictions, strict=True)
+    ]
 
 
 def _draw_motion(motion: MotionSpec, limits: Array, rng: np.random.Generator) -> MotionSpec:
     """Draw another motion of the same kind, within the limits (n, 2) [rad]."""
     if not isinstance(motion, FourierMotion):
         factor = float(rng.uniform(_MIN_AMPLITUDE, 1.0))
-        amplitude_keys = (
-            ("amplitude", "swing") if isinstance(motion, SweepMotion) else ("amplitude",)
-        )
-        scaled_amplitudes = {
-            key: tuple(factor * amplitude for amplitude in getattr(motion, key))
-            for key in amplitude_keys
-        }
-        return motion.model_copy(update=scaled_amplitudes)
+        changes = {"amplitude": tuple(factor * amplitude for amplitude in motion.amplitude)}
+        if isinstance(motion, SweepMotion):
+            changes["swing"] = tuple(factor * swing for swing in motion.swing)
+        return motion.model_copy(update=changes)
     for _ in range(_MAX_TRIES):
         drawn_motion = motion.model_copy(update={"seed": int(rng.integers(2**31))})
         trajectory = drawn_motion.trajectory()
@@ -168,18 +176,17 @@ def _draw_motion(motion: MotionSpec, limits: Array, rng: np.random.Generator) ->
 
 
 def _summarise_scores(draws: Sequence[Mapping[str, Sequence[float]]], reference: str) -> SeedScores:
-    rmse = {law_name: np.array([draw[law_name] for draw in draws]) for law_name in draws[0]}
-    log_ratios = {
-        law_name: np.log(law_rmse / rmse[reference]) for law_name, law_rmse in rmse.items()
-    }
-    return SeedScores(
-        rmse={law_name: _compute_spreads(law_rmse) for law_name, law_rmse in rmse.items()},
-        ratios={
-            law_name: _compute_spreads(law_ratios, np.exp)
-            for law_name, law_ratios in log_ratios.items()
-            if law_name != reference
-        },
-    )
+    """Return the spreads of RMS errors, and of their ratios to those of the reference."""
+    reference_rmse = np.array([draw[reference] for draw in draws])
+    rmse = {}
+    ratios = {}
+    for law_name in draws[0]:
+        law_rmse = np.array([draw[law_name] for draw in draws])
+        rmse[law_name] = _compute_spreads(law_rmse)
+        if law_name != reference:
+            # Ratios are averaged as logarithms.
+            ratios[law_name] = _compute_spreads(np.log(law_rmse / reference_rmse), np.exp)
+    return SeedScores(rmse=rmse, ratios=ratios)
 
 
 def _compute_spreads(
@@ -188,9 +195,8 @@ def _compute_spreads(
     """Return `transform` of mean and Student's 95 % interval of each column (seeds, n)."""
     seed_count = len(values)
     means = values.mean(axis=0)
-    half_widths = (
-        stdtrit(seed_count - 1, _UPPER_QUANTILE) * values.std(axis=0, ddof=1) / np.sqrt(seed_count)
-    )
+    quantile = stdtrit(seed_count - 1, _UPPER_QUANTILE)
+    half_widths = quantile * values.std(axis=0, ddof=1) / np.sqrt(seed_count)
     rows = transform(np.column_stack([means, means - half_widths, means + half_widths]))
     return tuple(Spread(mean=mean, low=low, high=high) for mean, low, high in rows.tolist())
 
@@ -211,12 +217,19 @@ def evaluate_truths(
             plant, signals = twin_plant(twin.model_copy(update={"truth": truth}), path, folder)
             arm = export_twin(plant, folder, signals)
             truth_recordings = list(record_motions(Motions.read(twin.motions), plant, fmu=arm))
+        errors_by_test = compute_errors(study, truth_recordings, laws, fit)
         errors[truth] = {
-            test: {
-                law_name: rmse
-                for law_name, rmse in errors_of_test.items()
-                if not law_name.endswith(MEASURED_START)
-            }
-            for test, errors_of_test in compute_errors(study, truth_recordings, laws, fit).items()
+            test: _remove_measured_starts(test_errors)
+            for test, test_errors in errors_by_test.items()
         }
     return errors
+
+
+def _remove_measured_starts(
+    test_errors: Mapping[str, Sequence[float]],
+) -> dict[str, Sequence[float]]:
+    return {
+        law_name: rmse
+        for law_name, rmse in test_errors.items()
+        if not law_name.endswith(MEASURED_START)
+    }
