@@ -11,7 +11,7 @@ from pydantic import Field
 
 from cosim.loop.closed_loop import PerJoint, Scheme, StandIn, Tracking
 from cosim.loop.excite import Recording, export_twin, record_motions, twin_plant
-from cosim.loop.loops import assemble, build, motions, require_reachable
+from cosim.loop.loops import StudyLoop, assemble, build, motions, require_reachable
 from cosim.loop.motions import Motions
 from cosim.loop.traces import Tracked
 from cosim.study.scores import LogRecords, predict_models, select_records, select_window
@@ -104,8 +104,12 @@ class Number:
     @property
     def interval(self) -> tuple[float, float]:
         """Ends of the interval, both the value if it has none."""
-        low = self.value if self.low is None else self.low
-        high = self.value if self.high is None else self.high
+        low = self.low
+        if low is None:
+            low = self.value
+        high = self.high
+        if high is None:
+            high = self.value
         return low, high
 
 
@@ -128,28 +132,31 @@ class Case:
     ) -> Number:
         """Return the RMSE of a law over the lowest one of others, of all rows or at reversals."""
         joint_records = self.tests[test][j]
-        errors = {}
-        resting_speed = find_resting_speed(joint_records)
-        row_weights = [
-            near_reversals(record.t, record.dq, resting_speed)
-            if reversals
-            else np.ones(len(record.t))
-            for record in joint_records
-        ]
-        for name in (law_name, *rivals):
-            law_residuals = self.errors(name, test, j)
-            errors[name] = [
-                weights * error for weights, error in zip(row_weights, law_residuals, strict=True)
-            ]
+        errors = {name: self.errors(name, test, j) for name in (law_name, *rivals)}
+        if reversals:
+            errors = _select_reversals(errors, joint_records)
         comparison = law_errors(
             errors,
             [float(np.median(np.diff(record.t))) for record in joint_records],
             log_names=[record.log for record in joint_records],
         )
-        ratio = comparison.ratios(
-            min(rivals, key=lambda rival: comparison.log_rmse[comparison.laws.index(rival)])
-        )[law_name]
+        log_rmse = dict(zip(comparison.laws, comparison.log_rmse, strict=True))
+        best_rival = min(rivals, key=lambda rival: log_rmse[rival])
+        ratio = comparison.ratios(best_rival)[law_name]
         return Number(value=ratio.value, low=ratio.low, high=ratio.high, is_open=ratio.low is None)
+
+
+def _select_reversals(
+    errors: Mapping[str, Sequence[Array]], joint_records: Sequence[FrictionRecord]
+) -> dict[str, list[Array]]:
+    """Return the errors (N,) by law on every log, zero in rows that are not near a reversal."""
+    resting_speed = find_resting_speed(joint_records)
+    is_near = [near_reversals(record.t, record.dq, resting_speed) for record in joint_records]
+    errors_at_reversals = {}
+    for law_name, joint_errors in errors.items():
+        pairs = zip(is_near, joint_errors, strict=True)
+        errors_at_reversals[law_name] = [mask * error for mask, error in pairs]
+    return errors_at_reversals
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,11 +184,12 @@ def gather_evidence(study: PaperStudy, path: Path, folder: Path, progress: Stage
         for recording in record_motions(Motions.read(study.twin.motions), plant, fmu=arm)
     }
     robot = Robot(job.robot)
-    logs, reversed_logs = (
-        [recordings[name].log for name in names]
-        for names in (log_names.identification, log_names.reversed)
+    body = identify(
+        [recordings[name].log for name in log_names.identification],
+        robot,
+        reversed_logs=[recordings[name].log for name in log_names.reversed],
+        method="paper",
     )
-    body = identify(logs, robot, reversed_logs=reversed_logs, method="paper")
     records = {
         name: [friction_records(recording.log, robot, body)]
         for name, recording in recordings.items()
@@ -201,52 +209,46 @@ def gather_evidence(study: PaperStudy, path: Path, folder: Path, progress: Stage
         plant.model, plant.joints, sample_time=1.0 / plant.sample_rate, losses=signals.losses
     )
     build(folder, robot, body, plant, true_model=true_model)
-    tracking = study.tracking
-    tracked = {}
     fmus = {
         law_name: export_bare(models[law_name], folder / f"{law_name}.fmu")
-        for law_name in tracking.sources
+        for law_name in study.tracking.sources
     }
+    tracked = {}
     for name, gain_changes in study.controllers.items():
-        changed_tracking = tracking.model_copy(
-            update={"gains": tracking.gains.model_copy(update=gain_changes)}
-        )
+        gains = study.tracking.gains.model_copy(update=gain_changes)
+        tracking = study.tracking.model_copy(update={"gains": gains})
         loop = assemble(
-            folder, robot, tracking=changed_tracking, friction=fmus, plant=plant, progress=progress
+            folder, robot, tracking=tracking, friction=fmus, plant=plant, progress=progress
         )
-        scheme = Scheme(compensation="torque_error")
-        rows = [loop.row(law_name, scheme) for law_name in (StandIn.BODY_ONLY, *fmus)]
-        rows.append(loop.row(StandIn.VELOCITY_ONLY, Scheme(compensation="none")))
-        tracked_rows = loop.track(
-            rows,
-            motions(changed_tracking),
-            changed_tracking.duration,
-            f"tracking, {name}",
-            traced=True,
-        )
-        tracked[name] = {row.law: row for row in tracked_rows}
+        tracked[name] = _track_motions(loop, f"tracking, {name}")
     return Evidence(study, robot, body, recordings, records, cases, tracked)
+
+
+def _track_motions(loop: StudyLoop, stage: str) -> dict[str, Tracked]:
+    """Run all motions with the body, each law and, uncompensated, the velocity alone; by law."""
+    scheme = Scheme(compensation="torque_error")
+    law_names = (StandIn.BODY_ONLY, *loop.tracking.sources)
+    rows = [loop.row(law_name, scheme) for law_name in law_names]
+    rows.append(loop.row(StandIn.VELOCITY_ONLY, Scheme(compensation="none")))
+    tracked_rows = loop.track(
+        rows, motions(loop.tracking), loop.tracking.duration, stage, traced=True
+    )
+    return {row.law: row for row in tracked_rows}
 
 
 def _replace_truth(
     true_model: FrictionModel, records: LogRecords, recordings: Mapping[str, Recording]
 ) -> LogRecords:
+    """Replace the friction of the twin in records by that of another model."""
     records_by_log = {}
     for name, [joint_records] in records.items():
         true_signals = recordings[name].truth
-        inputs = zip(
-            true_model.laws,
-            joint_records,
-            true_signals.dq.T,
-            true_signals.tau_f_true.T,
-            strict=True,
-        )
-        records_by_log[name] = [
-            [
-                replace(record, tau=record.tau - tau_f + predict(law, t=record.t, dq=dq))
-                for law, record, dq, tau_f in inputs
-            ]
-        ]
+        replaced_records = []
+        for j, record in enumerate(joint_records):
+            true_torque = predict(true_model.laws[j], t=record.t, dq=true_signals.dq[:, j])
+            tau = record.tau - true_signals.tau_f_true[:, j] + true_torque
+            replaced_records.append(replace(record, tau=tau))
+        records_by_log[name] = [replaced_records]
     return records_by_log
 
 
@@ -291,10 +293,9 @@ def _evaluate_measured(job: Job, study: PaperStudy, study_path: Path) -> Case:
     files = measured_job.log_files(study_path.parent)
     logs = {name: measured_job.read(name, file) for name, file in files.items()}
     body, _ = measured_job.rigid_body(logs, robot)
-    records = {
-        name: [friction_records(part, robot, body) for part in log.parts()]
-        for name, log in logs.items()
-    }
+    records = {}
+    for name, log in logs.items():
+        records[name] = [friction_records(part, robot, body) for part in log.parts()]
     tests = {_MAIN_TEST: select_records(measured_job.tested_on, records)}
     training_records = select_moving_records(select_records(measured_study.logs.training, records))
     return _fit_case(job, study, measured_study.name, training_records, tests, job.laws)
@@ -325,29 +326,32 @@ def _fit_case(
 ) -> Case:
     """Fit laws to records, and predict the test sets and those bands that they have."""
     tests = dict(tests)
-    variants = {name: variant for name, variant in study.variants.items() if name in laws}
+    options = dict(study.options)
+    variants = {}
+    for law_name, variant in study.variants.items():
+        if law_name in laws:
+            options[law_name] = variant.options
+            variants[law_name] = variant.law
     models = fit_models(
         laws,
         records,
         robot=job.robot.name,
         seed=study.seed,
-        options={
-            **study.options,
-            **{law_name: variant.options for law_name, variant in variants.items()},
-        },
-        variants={law_name: variant.law for law_name, variant in variants.items()},
+        options=options,
+        variants=variants,
         progress=partial(job.progress, f"fitting laws to the {name}"),
     )
     torques = {test: predict_models(models, test_records) for test, test_records in tests.items()}
     for band in study.bands:
         if band.test not in tests:
             continue
-        windows = {
-            law_name: select_window(tests[band.test], test_torques, band.start, band.stop)
-            for law_name, test_torques in torques[band.test].items()
-        }
-        torques[band.name] = {
-            law_name: predictions_in_band for law_name, (_, predictions_in_band) in windows.items()
-        }
-        tests[band.name] = next(iter(windows.values()))[0]
+        test_records = tests[band.test]
+        band_torques = {}
+        for law_name, test_torques in torques[band.test].items():
+            # The records of a band are the same for all laws.
+            band_records, band_torques[law_name] = select_window(
+                test_records, test_torques, band.start, band.stop
+            )
+        tests[band.name] = band_records
+        torques[band.name] = band_torques
     return Case(models=models, training_records=records, tests=tests, torques=torques)

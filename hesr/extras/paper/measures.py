@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import wraps
+from itertools import product
 from typing import Any, cast
 
 import numpy as np
@@ -26,15 +27,19 @@ from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.laws.parfam.laws import COEFFICIENTS
 from hesr_model.motions.excitation import condition
 from hesr_model.motions.trajectories import Fourier
+from hesr_model.support.arrays import Array
 
 Values = Mapping[str, Number]
 CASE_MEASURES: set[str] = set()
 """Measures that can be taken for every true friction, and on measured logs."""
 _TEST_OPTIONS = ("test", "low", "high")  # name test sets
+_SLIDING_ROWS = 400  # of steady sliding before a rest
 
 
 def _as_number(value: float | Number) -> Number:
-    return value if isinstance(value, Number) else Number(value=float(value))
+    if isinstance(value, Number):
+        return value
+    return Number(value=float(value))
 
 
 def _measure_joints(measure_joint: Callable[..., float | Number]) -> Callable[..., Values]:
@@ -54,16 +59,12 @@ def _measure_cases(measure_case: Callable[..., float | Number]) -> Callable[...,
     def measure(evidence: Evidence, *, truth: str = TWIN, **options: Any) -> Values:
         # Measured robots have no chirps.
         tests = {options[key] for key in _TEST_OPTIONS if key in options}
-        values_by_case = {
-            motion: _measure_joints(measure_case)(evidence, case, **options)
-            for motion, case in evidence.cases[truth].items()
-            if tests <= set(case.tests)
-        }
-        return {
-            f"{motion} {name}": value
-            for motion, joint_values in values_by_case.items()
-            for name, value in joint_values.items()
-        }
+        values: dict[str, Number] = {}
+        for motion, case in evidence.cases[truth].items():
+            if tests <= set(case.tests):
+                joint_values = _measure_joints(measure_case)(evidence, case, **options)
+                values |= {f"{motion} {name}": value for name, value in joint_values.items()}
+        return values
 
     CASE_MEASURES.add(measure_case.__name__)
     return measure
@@ -97,18 +98,17 @@ def level(_: Evidence, case: Case, j: int, *, law: str, test: str = "fourier") -
 @_measure_cases
 def rise(evidence: Evidence, case: Case, j: int, *, low: str, high: str, law: str = "") -> float:
     """Return the RMSE of a law on a band over that on a lower band."""
-    band_residuals = (case.errors(law or evidence.study.literal, band, j) for band in (low, high))
-    lower_rmse, upper_rmse = (rmse(np.concatenate(band_errors)) for band_errors in band_residuals)
+    law_name = law or evidence.study.literal
+    lower_rmse = rmse(np.concatenate(case.errors(law_name, low, j)))
+    upper_rmse = rmse(np.concatenate(case.errors(law_name, high, j)))
     return upper_rmse / lower_rmse
 
 
 @_measure_cases
 def training(evidence: Evidence, case: Case, j: int, *, other: str) -> float:
     """Return the training error of the literal law over that of another one."""
-    literal_error, other_error = (
-        case.models[law_name].training_rmse[j] for law_name in (evidence.study.literal, other)
-    )
-    return literal_error / other_error
+    literal_error = case.models[evidence.study.literal].training_rmse[j]
+    return literal_error / case.models[other].training_rmse[j]
 
 
 def tracking(
@@ -119,34 +119,34 @@ def tracking(
     The value is the geometric mean over the motions, the interval Student's.
     """
     ratios: dict[str, Number] = {}
-    for controller, other_controller in controllers:
-        for law_name, reference in pairs:
-            log_ratios = np.log(
-                evidence.tracked[controller][law_name].rmse
-                / evidence.tracked[other_controller][reference].rmse
-            )
-            half_widths = (
-                stdtrit(len(log_ratios) - 1, 0.975)
-                * log_ratios.std(axis=0, ddof=1)
-                / np.sqrt(len(log_ratios))
-            )
-            joint_intervals = np.exp(
-                log_ratios.mean(axis=0) + np.outer([0.0, -1.0, 1.0], half_widths)
-            ).T.tolist()
-            label = f"{controller}, to {title(reference)}," if len(pairs) > 1 else f"{controller},"
-            numbers = zip(joints(len(joint_intervals)), joint_intervals, strict=True)
-            ratios |= {
-                f"{label} {joint_name}": Number(value=value, low=lowest, high=highest)
-                for joint_name, (value, lowest, highest) in numbers
-            }
+    for (controller, other_controller), (law_name, reference) in product(controllers, pairs):
+        errors = evidence.tracked[controller][law_name].rmse
+        other_errors = evidence.tracked[other_controller][reference].rmse
+        joint_ratios = _average_ratios(errors / other_errors)
+        label = f"{controller},"
+        if len(pairs) > 1:
+            label = f"{controller}, to {title(reference)},"
+        for joint_name, ratio in zip(joints(len(joint_ratios)), joint_ratios, strict=True):
+            ratios[f"{label} {joint_name}"] = ratio
     return ratios
+
+
+def _average_ratios(ratios: Array) -> list[Number]:
+    """Return the geometric mean of ratios (M, n) and Student's 95 % interval by column."""
+    log_ratios = np.log(ratios)
+    motion_count = len(log_ratios)
+    quantile = stdtrit(motion_count - 1, 0.975)
+    half_widths = quantile * log_ratios.std(axis=0, ddof=1) / np.sqrt(motion_count)
+    means = log_ratios.mean(axis=0)
+    # Values, then lower and upper ends.
+    rows = np.exp(means + np.outer([0.0, -1.0, 1.0], half_widths))
+    return [Number(value=value, low=low, high=high) for value, low, high in rows.T.tolist()]
 
 
 def base_parameters(evidence: Evidence) -> Values:
     """Return the number of base parameters without inertias of rotors."""
-    return {
-        "": _as_number(sum(not evidence.body.names[k].endswith("Ir") for k in evidence.body.base))
-    }
+    base_names = [evidence.body.names[k] for k in evidence.body.base]
+    return {"": _as_number(sum(not name.endswith("Ir") for name in base_names))}
 
 
 def conditioning(evidence: Evidence, *, motion: str, seeds: int) -> Values:
@@ -157,14 +157,12 @@ def conditioning(evidence: Evidence, *, motion: str, seeds: int) -> Values:
         for twin_motion in twin_motions
         if twin_motion.name == motion and isinstance(twin_motion, FourierMotion)
     ]
-    seeded_motions = [
-        fourier_motion.model_copy(update={"seed": seed})
-        for seed in (fourier_motion.seed, *range(1, seeds + 1))
-    ]
-    motions = (cast(Fourier, seeded_motion.trajectory()) for seeded_motion in seeded_motions)
-    condition_number, *random_conditions = (
-        condition(evidence.robot, evidence.body.base, fourier) for fourier in motions
-    )
+    conditions = []
+    for seed in (fourier_motion.seed, *range(1, seeds + 1)):
+        seeded_motion = fourier_motion.model_copy(update={"seed": seed})
+        fourier = cast(Fourier, seeded_motion.trajectory())
+        conditions.append(condition(evidence.robot, evidence.body.base, fourier))
+    condition_number, *random_conditions = conditions
     return {"": _as_number(condition_number / float(np.median(random_conditions)))}
 
 
@@ -182,11 +180,12 @@ def explained(evidence: Evidence, j: int, *, log: str, by: str) -> float:
     """Return the share of a variance: of torque by the body, or of the residual by friction."""
     truth = evidence.recordings[log].truth.tau_f_true[:, j]
     record = evidence.records[log][0][j]
-    unexplained, total = (
-        (record.tau, record.tau + record.tau_load)
-        if by == "body"
-        else (record.tau - truth, record.tau)
-    )
+    if by == "body":
+        unexplained = record.tau
+        total = record.tau + record.tau_load
+    else:
+        unexplained = record.tau - truth
+        total = record.tau
     return 1.0 - float(np.var(unexplained) / np.var(total))
 
 
@@ -195,12 +194,11 @@ def memory(evidence: Evidence, case: Case, j: int, *, rest: float) -> float:
     """Return the gap of the torques after sliding both ways and a rest [s], over that before it."""
     law = _literal_law(evidence, case, j)
     trained_range = case.models[evidence.study.literal].trained[j]
-    dq = np.repeat(
-        [0.5 * trained_range.speed, 0.0], [400, 1 + round(rest / trained_range.sample_time)]
-    )
+    rest_rows = round(rest / trained_range.sample_time)
+    dq = np.repeat([0.5 * trained_range.speed, 0.0], [_SLIDING_ROWS, 1 + rest_rows])
     t = trained_range.sample_time * np.arange(len(dq))
     gap = predict(law, t=t, dq=dq) - predict(law, t=t, dq=-dq)
-    return float(gap[-1] / gap[400])
+    return float(gap[-1] / gap[_SLIDING_ROWS])
 
 
 @_measure_cases
@@ -213,9 +211,8 @@ def generated(evidence: Evidence, case: Case, j: int) -> float:
 @_measure_joints
 def published(evidence: Evidence, j: int) -> float:
     """Return the largest energy [J] that a cycle of the law of Table I generates."""
-    trained_range = (
-        next(iter(evidence.cases[TWIN].values())).models[evidence.study.literal].trained[j]
-    )
+    first_case = next(iter(evidence.cases[TWIN].values()))
+    trained_range = first_case.models[evidence.study.literal].trained[j]
     return _find_generated_energy(FrictionModel.read("uf850-table1").laws[j], trained_range)
 
 
@@ -230,9 +227,8 @@ def moved(evidence: Evidence, case: Case, j: int) -> float:
     """Return alpha after stage 3 over that of stage 1."""
     rows = JointRows.from_records(case.training_records[j], coefficients=COEFFICIENTS)
     features = HysteresisFeatures(rows=rows, discretisation="euler")
-    return (
-        _literal_law(evidence, case, j).values["alpha"] / calibrate.estimate_from_loop(features)[0]
-    )
+    first_alpha = calibrate.estimate_from_loop(features)[0]
+    return _literal_law(evidence, case, j).values["alpha"] / first_alpha
 
 
 @_measure_cases
@@ -250,16 +246,17 @@ def recovery(evidence: Evidence, case: Case, j: int, *, noise: Sequence[float]) 
     record = case.training_records[j][0]
     law = FrictionModel.read("uf850-table1").laws[j]
     true_torque = predict(law, t=record.t, dq=record.dq)
-    tau = true_torque + noise[j] * np.random.default_rng(evidence.study.seed).normal(
-        size=len(true_torque)
-    )
+    generator = np.random.default_rng(evidence.study.seed)
+    noisy_torque = true_torque + noise[j] * generator.normal(size=len(true_torque))
     variant = evidence.study.variants[evidence.study.literal]
     fitted_law = fit_joint(
-        variant.law, [replace(record, tau=tau)], seed=evidence.study.seed, options=variant.options
+        variant.law,
+        [replace(record, tau=noisy_torque)],
+        seed=evidence.study.seed,
+        options=variant.options,
     )
-    return rmse(predict(fitted_law, t=record.t, dq=record.dq) - true_torque) / float(
-        np.std(true_torque)
-    )
+    error = predict(fitted_law, t=record.t, dq=record.dq) - true_torque
+    return rmse(error) / float(np.std(true_torque))
 
 
 @_measure_cases
@@ -269,7 +266,10 @@ def starts(evidence: Evidence, case: Case, j: int, *, count: int, within: float)
     problem = Separable(LuGre.core({}), LuGre().space(), rows)
     lower, upper = problem.bounds.T
     points = np.random.default_rng(evidence.study.seed).uniform(lower, upper, (count, len(lower)))
-    final_costs = (problem.solve(problem.polish(point, evaluations=60))[1] for point in points)
-    final_errors = np.sqrt(np.array([*final_costs]) / len(rows.tau))
+    final_costs = []
+    for point in points:
+        _, cost = problem.solve(problem.polish(point, evaluations=60))
+        final_costs.append(cost)
+    final_errors = np.sqrt(np.array(final_costs) / len(rows.tau))
     best_error = min(case.models["lugre"].training_rmse[j], float(final_errors.min()))
     return float(np.mean(final_errors <= within * best_error))

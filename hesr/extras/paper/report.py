@@ -53,6 +53,13 @@ _RIVALS = {
     "lugre": "LuGre fitted at once",
     "lugre_static_first": "LuGre fitted static-first",
 }
+_ERROR_TABLES = (
+    ("Prediction on the twin", TWIN, "the bristles of the MJCF are"),
+    ("Prediction where LuGre is the truth", LUGRE, "LuGre is"),
+    ("Prediction where a strain wave is the truth", STRAIN_WAVE, "a strain-wave gear is"),
+    ("Prediction where Table I is the truth", TABLE_1, "the laws of Table I are"),
+)
+"""Heading, true friction and words of the caption of each table of errors."""
 _TEMPLATES = code_templates(Path(__file__).parent / "templates")
 _TITLES = {
     "parfam_h_paper": "ParFam-H (paper)",
@@ -94,32 +101,30 @@ class PaperResult:
     @classmethod
     def from_evidence(cls, evidence: Evidence, command: str) -> "PaperResult":
         """Judge claims by the evidence."""
-        models_by_truth = {
-            truth: next(iter(motion_cases.values())).models
-            for truth, motion_cases in evidence.cases.items()
-        }
+        rmse = {}
+        ratios = {}
+        for truth, motion_cases in evidence.cases.items():
+            first_case = next(iter(motion_cases.values()))  # all cases have the same laws
+            rmse[truth] = {
+                law_name: measures.level(evidence, truth=truth, law=law_name)
+                for law_name in first_case.models
+            }
+            ratios[truth] = {
+                law_name: measures.errors(evidence, truth=truth, others=[law_name])
+                for law_name in first_case.models
+                if law_name != evidence.study.literal
+            }
+        tracking = {}
+        for controller, rows in evidence.tracked.items():
+            tracking[controller] = {
+                law_name: tuple(row.mean.tolist()) for law_name, row in rows.items()
+            }
         return cls(
             command=command,
             claims=tuple(judge_claim(claim, evidence) for claim in evidence.study.claims),
-            rmse={
-                truth: {
-                    law_name: measures.level(evidence, truth=truth, law=law_name)
-                    for law_name in models
-                }
-                for truth, models in models_by_truth.items()
-            },
-            ratios={
-                truth: {
-                    law_name: measures.errors(evidence, truth=truth, others=[law_name])
-                    for law_name in models
-                    if law_name != evidence.study.literal
-                }
-                for truth, models in models_by_truth.items()
-            },
-            tracking={
-                controller: {law_name: tuple(row.mean.tolist()) for law_name, row in rows.items()}
-                for controller, rows in evidence.tracked.items()
-            },
+            rmse=rmse,
+            ratios=ratios,
+            tracking=tracking,
         )
 
 
@@ -131,8 +136,12 @@ def judge_values(
     A claim holds if all intervals are within the limits, and fails if none is and one is outside.
     It holds partly if some are within; it is not testable if all intervals contain a limit.
     """
-    floors = np.broadcast_to(-np.inf if at_least is None else at_least, len(values))
-    ceilings = np.broadcast_to(np.inf if at_most is None else at_most, len(values))
+    if at_least is None:
+        at_least = -np.inf
+    if at_most is None:
+        at_most = np.inf
+    floors = np.broadcast_to(at_least, len(values))
+    ceilings = np.broadcast_to(at_most, len(values))
     holding = []
     is_refuted = False
     for (label, number), floor, ceiling in zip(values.items(), floors, ceilings, strict=True):
@@ -147,22 +156,30 @@ def judge_values(
         verdict = HOLDS
     elif holding:
         verdict = PARTLY
+    elif is_refuted:
+        verdict = FAILS
     else:
-        verdict = FAILS if is_refuted else OPEN
+        verdict = OPEN
     return TruthVerdict(values=values, verdict=verdict, holding=tuple(holding))
 
 
 def judge_claim(claim: Claim, evidence: Evidence) -> Judged:
     """Measure a claim under each true friction and judge it."""
-    truths: dict[str, TruthVerdict] = {}
+    values_by_truth: dict[str, Mapping[str, Number]] = {}
     if claim.measure:
-        is_general = claim.measure in measures.CASE_MEASURES and claim.everywhere
-        for truth in evidence.cases if is_general else [TWIN]:
-            options = {**claim.options, "truth": truth} if is_general else claim.options
-            measured = getattr(measures, claim.measure)(evidence, **options)
-            values = {name: value for name, value in measured.items() if name.endswith(claim.joint)}
-            if values:
-                truths[truth] = judge_values(values, claim.at_least, claim.at_most)
+        measure = getattr(measures, claim.measure)
+        if claim.measure in measures.CASE_MEASURES and claim.everywhere:
+            for truth in evidence.cases:
+                values_by_truth[truth] = measure(evidence, **claim.options, truth=truth)
+        else:
+            values_by_truth[TWIN] = measure(evidence, **claim.options)
+    truths: dict[str, TruthVerdict] = {}
+    for truth, values in values_by_truth.items():
+        claimed_values = {
+            label: value for label, value in values.items() if label.endswith(claim.joint)
+        }
+        if claimed_values:
+            truths[truth] = judge_values(claimed_values, claim.at_least, claim.at_most)
     return Judged(claim=claim, truths=truths, verdict=combine_verdicts(truths))
 
 
@@ -171,7 +188,9 @@ def combine_verdicts(truths: Mapping[str, TruthVerdict]) -> str:
     verdicts = {judgement.verdict for judgement in truths.values()} - {OPEN}
     if not verdicts:
         return OPEN
-    return verdicts.pop() if len(verdicts) == 1 else PARTLY
+    if len(verdicts) > 1:
+        return PARTLY
+    return verdicts.pop()
 
 
 def tables(result: PaperResult) -> dict[str, ResultTable]:
@@ -179,24 +198,22 @@ def tables(result: PaperResult) -> dict[str, ResultTable]:
     sections = {
         "Claims": _build_claim_table(result.claims),
         "Claims by true friction": _build_truth_table(result.claims),
-        "Prediction on the twin": _build_error_table(result, TWIN, "the bristles of the MJCF are"),
-        "Prediction where LuGre is the truth": _build_error_table(result, LUGRE, "LuGre is"),
-        "Prediction where a strain wave is the truth": _build_error_table(
-            result, STRAIN_WAVE, "a strain-wave gear is"
-        ),
-        "Prediction where Table I is the truth": _build_error_table(
-            result, TABLE_1, "the laws of Table I are"
-        ),
-        "Tracking": _build_tracking_table(result.tracking),
     }
+    for heading, truth, words in _ERROR_TABLES:
+        where = f"[N.m] where {words} the true friction"
+        sections[heading] = _build_error_table(result, truth, where)
+    sections["Tracking"] = _build_tracking_table(result.tracking)
     if MEASURED in result.rmse:
-        sections["Prediction on measured joints"] = _build_error_table(result, MEASURED, "")
+        where = "[N.m; N] of measured joints, by the split of their own study"
+        sections["Prediction on measured joints"] = _build_error_table(result, MEASURED, where)
     return sections
 
 
 def _build_claim_table(claims: Sequence[Judged]) -> ResultTable:
-    rows = [
-        make_row(
+    rows = []
+    for judged in claims:
+        claim = judged.claim
+        row = make_row(
             str(claim.number),
             f"{claim.text} ({claim.where})",
             claim.printed,
@@ -205,9 +222,7 @@ def _build_claim_table(claims: Sequence[Judged]) -> ResultTable:
             _format_limits(claim),
             judged.verdict,
         )
-        for judged in claims
-        for claim in [judged.claim]
-    ]
+        rows.append(row)
     return ResultTable(
         caption="Claims of the paper and the twin; in brackets 95\u00a0% intervals",
         head=("no.", "claim", "printed", "measure on the twin", "here", "needed", "verdict"),
@@ -248,58 +263,55 @@ def _format_values(judged: Judged) -> str:
 
 
 def _format_number(number: Number) -> str:
-    interval = (
-        f" ({format_significant(number.low)}–{format_significant(number.high)})"
-        if number.low and number.high
-        else ""
-    )
-    return f"{format_significant(number.value)}{interval}"
+    text = format_significant(number.value)
+    if number.low and number.high:
+        text += f" ({format_significant(number.low)}–{format_significant(number.high)})"
+    return text
 
 
 def _format_limits(claim: Claim) -> str:
-    pairs = (("at least", claim.at_least), ("at most", claim.at_most))
-    stated_limits = [(word, np.atleast_1d(limit)) for word, limit in pairs if limit is not None]
-    return ", ".join(
-        f"{word} {' / '.join(f'{x:g}' for x in limits)}" for word, limits in stated_limits
-    )
+    stated_limits = []
+    for words, limit in (("at least", claim.at_least), ("at most", claim.at_most)):
+        if limit is not None:
+            values = " / ".join(f"{value:g}" for value in np.atleast_1d(limit))
+            stated_limits.append(f"{words} {values}")
+    return ", ".join(stated_limits)
 
 
-def _build_error_table(result: PaperResult, truth: str, words: str) -> ResultTable:
-    where = f"[N.m] where {words} the true friction"
-    if truth == MEASURED:
-        where = "[N.m; N] of measured joints, by the split of their own study"
+def _title_law(law_name: str) -> str:
+    return _TITLES.get(law_name, title(law_name))
 
-    def cells(law_name: str) -> Iterator[TableCell]:
+
+def _build_error_table(result: PaperResult, truth: str, where: str) -> ResultTable:
+    """Return the errors of all laws under one true friction, which the caption names `where`."""
+    rows = []
+    for law_name, errors in result.rmse[truth].items():
         ratios = result.ratios[truth].get(law_name, {})
-        for label, value in result.rmse[truth][law_name].items():
-            ratio = ratios.get(label)
-            notes = ratio and ratio_notes(
-                ErrorRatio(value=ratio.value, low=ratio.low, high=ratio.high)
-            )
-            yield fixed_cell(value.value, 2, notes=notes or ())
-
+        cells = [_format_error(error, ratios.get(label)) for label, error in errors.items()]
+        rows.append(make_row(_title_law(law_name), *cells))
     return ResultTable(
         caption=f"RMSE of the predicted torque {where}; small: error "
         "of ParFam-H (paper) over that of the law, with its 95\u00a0% interval",
         head=("law", *next(iter(result.rmse[truth].values()))),
-        rows=[
-            make_row(_TITLES.get(law_name, title(law_name)), *cells(law_name))
-            for law_name in result.rmse[truth]
-        ],
+        rows=rows,
     )
+
+
+def _format_error(error: Number, ratio: Number | None) -> TableCell:
+    """Return an error with the ratio of the literal law to it as notes."""
+    if ratio is None:
+        return fixed_cell(error.value, 2)
+    error_ratio = ErrorRatio(value=ratio.value, low=ratio.low, high=ratio.high)
+    return fixed_cell(error.value, 2, notes=ratio_notes(error_ratio))
 
 
 def _build_tracking_table(errors: Mapping[str, Mapping[str, tuple[float, ...]]]) -> ResultTable:
     rows = []
     for controller, errors_by_law in errors.items():
         rows.append(make_row(controller))
-        rows += [
-            make_row(
-                _TITLES.get(law_name, title(law_name)),
-                *(fixed_cell(1e3 * error, 1) for error in joint_errors),
-            )
-            for law_name, joint_errors in errors_by_law.items()
-        ]
+        for law_name, joint_errors in errors_by_law.items():
+            cells = [fixed_cell(1e3 * error, 1) for error in joint_errors]
+            rows.append(make_row(_title_law(law_name), *cells))
     return ResultTable(
         caption="RMSE of tracking [mrad], mean over the motions",
         head=("torque model", *joints(len(rows[1].cells))),
@@ -314,29 +326,17 @@ def write_page(folder: Path, output: Path | None = None, **_: Any) -> None:
     result = from_json(PaperResult, document, folder / FILE, "results of the paper's study")
     if path.suffix not in (".md", ".html"):
         raise ArgumentError(f"{path}: reports of a study of claims are .html and .md.")
-    is_markdown = path.suffix == ".md"
     result_tables = tables(result)
+    tables_folder = TABLES
+    if path.suffix == ".md":
+        tables_folder = f"{path.stem}_tables"
     with written_together(path) as provide_file:
-        files = Tables(
-            path.parent / (f"{path.stem}_tables" if is_markdown else TABLES), provide_file
-        )
+        files = Tables(path.parent / tables_folder, provide_file)
         for heading, result_table in result_tables.items():
             files.csv(result_table, heading.lower().replace(" ", "_"))
-        if is_markdown:
-            body_errors = [rows[StandIn.BODY_ONLY] for rows in result.tracking.values()]
-            text = _TEMPLATES.get_template("paper.md.j2").render(
-                command=result.command,
-                opening=compose_opening(result),
-                bodies=[
-                    [f"{1e3 * error:.0f}" for error in joint_errors] for joint_errors in body_errors
-                ],
-                controllers=[*result.tracking],
-                parts={
-                    heading: markdown(result_table)
-                    for heading, result_table in result_tables.items()
-                },
-                files=[f"{files.folder.name}/{provide_file}" for provide_file in files.written],
-            )
+        if path.suffix == ".md":
+            table_files = [f"{tables_folder}/{file}" for file in files.written]
+            text = _compose_markdown(result, result_tables, table_files)
             provide_file(path).write_text(text, encoding="utf-8")
         else:
             answer = Written(
@@ -348,6 +348,28 @@ def write_page(folder: Path, output: Path | None = None, **_: Any) -> None:
                 ],
             )
             write_answer(answer, provide_file(path))
+
+
+def _compose_markdown(
+    result: PaperResult, result_tables: Mapping[str, ResultTable], table_files: Sequence[str]
+) -> str:
+    """Return the page of the documentation, which links to its tables."""
+    body_errors = [
+        _format_milliradians(errors_by_law[StandIn.BODY_ONLY])
+        for errors_by_law in result.tracking.values()
+    ]
+    return _TEMPLATES.get_template("paper.md.j2").render(
+        command=result.command,
+        opening=compose_opening(result),
+        bodies=body_errors,
+        controllers=[*result.tracking],
+        parts={heading: markdown(result_table) for heading, result_table in result_tables.items()},
+        files=table_files,
+    )
+
+
+def _format_milliradians(errors: Sequence[float]) -> list[str]:
+    return [f"{1e3 * error:.0f}" for error in errors]
 
 
 def compose_opening(result: PaperResult) -> list[str]:
@@ -404,5 +426,8 @@ def _list_measured_ratios(ratios: Mapping[str, Mapping[str, Number]]) -> Iterato
 
 def _format_range(values: Sequence[float], digits: int) -> str:
     """Return the lowest and the highest of values."""
-    lowest, highest = (f"{end(values):.{digits}f}" for end in (min, max))
-    return lowest if lowest == highest else f"{lowest} to {highest}"
+    lowest = f"{min(values):.{digits}f}"
+    highest = f"{max(values):.{digits}f}"
+    if lowest == highest:
+        return lowest
+    return f"{lowest} to {highest}"
