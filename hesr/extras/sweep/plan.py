@@ -113,11 +113,10 @@ def _build_grid(study: SweepStudy) -> Array:
     levels = []
     for sweep_input in study.inputs:
         value_count = len(sweep_input.values)
-        levels.append(
-            (np.arange(value_count) + 0.5) / value_count
-            if value_count
-            else np.linspace(0.0, 1.0, sweep_input.levels)
-        )
+        if value_count:
+            levels.append((np.arange(value_count) + 0.5) / value_count)
+        else:
+            levels.append(np.linspace(0.0, 1.0, sweep_input.levels))
     run_count = prod(map(len, levels))
     if run_count > MAX_RUNS:
         raise ConfigError(
@@ -140,10 +139,12 @@ def _map_to_values(sweep_input: SweepInput, unit_points: Array) -> Array:
                 np.minimum(lower + np.floor(unit_points * (upper - lower + 1.0)), upper)
             )
         return sweep_input.low + unit_points * (sweep_input.high - sweep_input.low)
-    normal_values: Array = (sweep_input.mean or 0.0) + (sweep_input.std or 0.0) * _map_to_normal(
-        unit_points
-    )
-    return np.round(normal_values) if sweep_input.integer else normal_values
+    mean = sweep_input.mean or 0.0
+    std = sweep_input.std or 0.0
+    normal_values: Array = mean + std * _map_to_normal(unit_points)
+    if sweep_input.integer:
+        return np.round(normal_values)
+    return normal_values
 
 
 def _map_to_group(group: Correlated, unit_points: Array) -> Array:
@@ -184,12 +185,11 @@ def read_plan(path: Path) -> Plan:
     """Read a sweep file and check it against its system."""
     study = SweepStudy.read(path)
     system = SystemSpec.read(study.system)
-    signals = [
-        signal
-        for measured in study.outputs
-        for signal in (measured.signal, measured.reference)
-        if signal is not None
-    ]
+    signals = []
+    for output in study.outputs:
+        signals.append(output.signal)
+        if output.reference is not None:
+            signals.append(output.reference)
     system = system.model_copy(update={"observe": tuple(dict.fromkeys(signals))})
     for output in study.outputs:
         if output.start > system.stop:
@@ -202,11 +202,8 @@ def read_plan(path: Path) -> Plan:
             )
     targets = tuple(_find_targets(study, system, path))
     values = design_inputs(study)
-    digests = {
-        fmu: sha256(fmu)
-        for fmu in {component.fmu for component in system.components}
-        if fmu.is_file()
-    }
+    fmus = {component.fmu for component in system.components}
+    digests = {fmu: sha256(fmu) for fmu in fmus if fmu.is_file()}
     task = Task(key="", system=system, targets=targets, outputs=study.outputs)
     with Master(system, study.system, loaded=POOL) as master:
         master.require_start(task.start(values[0]), path)
@@ -222,19 +219,20 @@ def _find_targets(study: SweepStudy, system: SystemSpec, path: Path) -> list[Var
     for column, sweep_input in enumerate(study.inputs):
         for name in sweep_input.variables:
             component, _, variable = name.partition(".")
-            base = _read_start(system, component, variable, path) if sweep_input.factor else None
-            is_integer = bool(sweep_input.values) and all(
+            base = None
+            if sweep_input.factor:
+                base = _read_start(system, component, variable, path)
+            has_integers = bool(sweep_input.values) and all(
                 float(value).is_integer() for value in sweep_input.values
             )
-            targets.append(
-                VariedVariable(
-                    component=component,
-                    variable=variable,
-                    column=column,
-                    base=base,
-                    integer=sweep_input.integer or is_integer,
-                )
+            target = VariedVariable(
+                component=component,
+                variable=variable,
+                column=column,
+                base=base,
+                integer=sweep_input.integer or has_integers,
             )
+            targets.append(target)
     for column in range(len(study.inputs), len(study.names)):
         component, _, variable = study.names[column].partition(".")
         targets.append(VariedVariable(component=component, variable=variable, column=column))
@@ -254,17 +252,21 @@ def _read_start(system: SystemSpec, component: str, variable: str, path: Path) -
             where=path,
             key="inputs",
         )
-    return tuple(map(float, value)) if isinstance(value, tuple) else (float(value),)
+    if isinstance(value, tuple):
+        return tuple(map(float, value))
+    return (float(value),)
 
 
 def _compute_key(study: SweepStudy, system: SystemSpec, digests: dict[Path, str]) -> str:
+    # The content of FMUs counts, not their place.
+    components = []
+    for component in system.components:
+        settings = component.model_dump(mode="json", exclude={"fmu"})
+        components.append(settings | {"fmu": digests.get(component.fmu)})
     hashed_inputs = {
         "study": study.model_dump(mode="json", exclude={"system"}),
         "system": system.model_dump(mode="json", exclude={"components"}),
-        "components": [
-            component.model_dump(mode="json", exclude={"fmu"}) | {"fmu": digests.get(component.fmu)}
-            for component in system.components
-        ],
+        "components": components,
         "version": version("hesr"),
         "numpy": np.__version__,
     }

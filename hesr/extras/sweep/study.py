@@ -126,37 +126,39 @@ class SweepStudy(Config):
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the varied numbers."""
-        correlated_names = (name for group in self.correlated for name in group.variables)
-        return (*(sweep_input.name for sweep_input in self.inputs), *correlated_names)
+        input_names = [sweep_input.name for sweep_input in self.inputs]
+        return (*input_names, *self._list_correlated())
+
+    def _list_correlated(self) -> list[str]:
+        variables: list[str] = []
+        for group in self.correlated:
+            variables += group.variables
+        return variables
 
     @model_validator(mode="after")
-    def _require_consistency(self) -> Self:
-        variables = [name for sweep_input in self.inputs for name in sweep_input.variables]
-        variables += [name for group in self.correlated for name in group.variables]
-        if not variables:
+    def _require_distinct_names(self) -> Self:
+        names: list[str] = []
+        for sweep_input in self.inputs:
+            names += sweep_input.variables
+        names += self._list_correlated()
+        if not names:
             raise RuleError(
                 "nothing is varied: give 'inputs' or 'correlated'",
                 code="sweep.nothing",
                 key="inputs",
             )
-        for name, count in Counter((*variables, *[output.name for output in self.outputs])).items():
+        names += [output.name for output in self.outputs]
+        for name, count in Counter(names).items():
             if count > 1:
                 raise RuleError(
                     f"'{name}' is varied or measured twice", code="sweep.names", key="inputs"
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _require_design(self) -> Self:
         if self.design == "grid":
-            if self.runs is not None:
-                raise RuleError(
-                    "a grid determines the number of runs; remove 'runs'",
-                    code="sweep.grid_runs",
-                    key="runs",
-                )
-            if self.correlated or any(sweep_input.mean is not None for sweep_input in self.inputs):
-                raise RuleError(
-                    "a grid needs 'values' or 'low' and 'high' of every input",
-                    code="sweep.grid_range",
-                    key="inputs",
-                )
+            self._require_grid()
         elif self.runs is None:
             raise RuleError(
                 f"the design '{self.design}' needs the key 'runs'", code="sweep.runs", key="runs"
@@ -168,3 +170,17 @@ class SweepStudy(Config):
                 key="runs",
             )
         return self
+
+    def _require_grid(self) -> None:
+        if self.runs is not None:
+            raise RuleError(
+                "a grid determines the number of runs; remove 'runs'",
+                code="sweep.grid_runs",
+                key="runs",
+            )
+        if self.correlated or any(sweep_input.mean is not None for sweep_input in self.inputs):
+            raise RuleError(
+                "a grid needs 'values' or 'low' and 'high' of every input",
+                code="sweep.grid_range",
+                key="inputs",
+            )

@@ -115,30 +115,29 @@ class SweepResult(Answer):
 
     def result(self) -> Any:
         """Return worst runs and sensitivities by output."""
+        worst_runs = {
+            output.name: self.find_worst_runs(k) for k, output in enumerate(self.plan.study.outputs)
+        }
+        sensitivities = {}
+        for sensitivity in self.sensitivities:
+            sensitivities[sensitivity.output] = {
+                "first": sensitivity.first.tolist(),
+                "total": sensitivity.total.tolist(),
+            }
         return {
             "runs": len(self.table.failures),
             "reused": self.reused,
             "failed": sum(map(bool, self.table.failures)),
-            "worst": {
-                output.name: self.find_worst_runs(k)
-                for k, output in enumerate(self.plan.study.outputs)
-            },
-            "sensitivities": {
-                sensitivity.output: {
-                    "first": sensitivity.first.tolist(),
-                    "total": sensitivity.total.tolist(),
-                }
-                for sensitivity in self.sensitivities
-            },
+            "worst": worst_runs,
+            "sensitivities": sensitivities,
         }
 
 
 def build_output_table(sweep_result: SweepResult) -> ResultTable:
     """Return the distributions of the outputs."""
     rows = []
-    for output, values in zip(
-        sweep_result.plan.study.outputs, sweep_result.table.outputs.T, strict=True
-    ):
+    for k, output in enumerate(sweep_result.plan.study.outputs):
+        values = sweep_result.table.outputs[:, k]
         finite_values = values[np.isfinite(values)]
         numbers = (
             finite_values.mean(),
@@ -147,12 +146,11 @@ def build_output_table(sweep_result: SweepResult) -> ResultTable:
             finite_values.max(),
         )
         rows.append(make_row(output.name, *(_format_cell(value) for value in numbers)))
-    failure_count = sum(map(bool, sweep_result.table.failures))
-    note = (
-        f"{failure_count} of {len(sweep_result.table.failures)} runs failed."
-        if failure_count
-        else ""
-    )
+    failures = sweep_result.table.failures
+    failure_count = sum(map(bool, failures))
+    note = ""
+    if failure_count:
+        note = f"{failure_count} of {len(failures)} runs failed."
     head = ("output", "mean", "std", *(f"{100 * q:.0f} %" for q in _QUANTILES), "largest")
     return ResultTable(
         caption="Outputs over all runs", head=head, rows=rows, note=note, section=_OUTPUTS

@@ -45,9 +45,13 @@ class VariedVariable:
         """Return the start value in a run."""
         number = float(row[self.column])
         if self.base is not None:
-            scaled = tuple(number * base_value for base_value in self.base)
-            return scaled if len(scaled) > 1 else scaled[0]
-        return int(number) if self.integer else number
+            scaled_values = tuple(number * base_value for base_value in self.base)
+            if len(scaled_values) == 1:
+                return scaled_values[0]
+            return scaled_values
+        if self.integer:
+            return int(number)
+        return number
 
 
 @dataclass(frozen=True, kw_only=True)
