@@ -84,11 +84,11 @@ def fit_thermal(
         raise FitError(
             f"friction model '{model.law}': a thermal model does not support coupled joints."
         )
-    fits = tuple(
-        _fit_joint(law, [log_records[j] for log_records in records])
-        for j, law in enumerate(model.laws)
-    )
-    return replace(model, thermal=tuple(thermal_fit.thermal for thermal_fit in fits)), fits
+    fits = []
+    for j, law in enumerate(model.laws):
+        joint_records = [log_records[j] for log_records in records]
+        fits.append(_fit_joint(law, joint_records))
+    return replace(model, thermal=tuple(fit.thermal for fit in fits)), tuple(fits)
 
 
 def add_temperature(
@@ -96,13 +96,18 @@ def add_temperature(
 ) -> tuple[FrictionModel, list[str]]:
     """Return a law with its temperature dependence, and a sentence per joint."""
     thermal_model, fits = fit_thermal(model, records)
-    return thermal_model, [
+    return thermal_model, [_describe_fit(fit) for fit in fits]
+
+
+def _describe_fit(fit: ThermalFit) -> str:
+    # Without temperatures R is 1, so that the rise is in watts.
+    unit = "K" if fit.thermal.measured else "W of friction"
+    return (
         f"{fit.joint}: Coulomb friction falls by {100 * fit.thermal.coulomb:.2g} ± "
-        f"{200 * fit.coulomb_error:.1g} % per {'K' if fit.thermal.measured else 'W of friction'}, "
+        f"{200 * fit.coulomb_error:.1g} % per {unit}, "
         f"viscous by {100 * fit.thermal.viscous:.2g} ± {200 * fit.viscous_error:.1g} %; time "
         f"constant {fit.thermal.time_constant:.3g} s; error {fit.rmse_fixed:.3g} -> {fit.rmse:.3g}"
-        for fit in fits
-    ]
+    )
 
 
 def _fit_joint(law: FrictionLaw, joint_records: Sequence[FrictionRecord]) -> ThermalFit:
@@ -114,18 +119,29 @@ def _fit_joint(law: FrictionLaw, joint_records: Sequence[FrictionRecord]) -> The
         raise FitError(f"log {log_name}: temperatures are missing, but other logs have them.")
     problem = _Problem(law, joint_records)
     if measured_temperatures:
-        temperatures = np.concatenate(measured_temperatures)
-        lowest, highest = np.percentile(temperatures, (5.0, 95.0))
-        if highest - lowest < MIN_SPREAD:
-            raise FitError(
-                f"joint '{joint_records[0].joint}': its temperature varies by "
-                f"{highest - lowest:.2g} K over the logs; at least {MIN_SPREAD:g} K are needed."
-            )
-        start = Thermal(coulomb=0.0, viscous=0.0, reference=round(float(np.mean(temperatures)), 1))
-        joint_fit = problem.solve(start, lambda _: measured_temperatures)
-        return replace(
-            joint_fit, thermal=problem.fit_heating(joint_fit.thermal, measured_temperatures)
+        return _fit_to_temperatures(problem, joint_records[0].joint, measured_temperatures)
+    return _fit_to_heat(problem, joint_records)
+
+
+def _fit_to_temperatures(
+    problem: "_Problem", joint: str, measured_temperatures: Sequence[Array]
+) -> ThermalFit:
+    """Fit friction to temperatures (N,) [degC] of each log, then heating to friction."""
+    temperatures = np.concatenate(measured_temperatures)
+    lowest, highest = np.percentile(temperatures, (5.0, 95.0))
+    if highest - lowest < MIN_SPREAD:
+        raise FitError(
+            f"joint '{joint}': its temperature varies by {highest - lowest:.2g} K over the logs; "
+            f"at least {MIN_SPREAD:g} K are needed."
         )
+    start = Thermal(coulomb=0.0, viscous=0.0, reference=round(float(np.mean(temperatures)), 1))
+    joint_fit = problem.solve(start, lambda _: measured_temperatures)
+    thermal = problem.fit_heating(joint_fit.thermal, measured_temperatures)
+    return replace(joint_fit, thermal=thermal)
+
+
+def _fit_to_heat(problem: "_Problem", joint_records: Sequence[FrictionRecord]) -> ThermalFit:
+    """Fit friction and time constant to the heat of friction itself, from cold starts."""
     longest_duration = max(float(np.ptp(record.t)) for record in joint_records)
     if longest_duration < MIN_TIME:
         raise FitError(
@@ -171,13 +187,16 @@ class _Problem:
     ) -> ThermalFit:
 
         def build_thermal(x: Array) -> Thermal:
+            time_constant = start.time_constant
+            if searched:
+                time_constant = float(np.exp(x[5]))
             return replace(
                 start,
                 coulomb_scale=float(np.exp(x[0])),
                 viscous_scale=float(np.exp(x[1])),
                 coulomb=float(x[2]),
                 viscous=float(x[3]),
-                time_constant=float(np.exp(x[5])) if searched else start.time_constant,
+                time_constant=time_constant,
             )
 
         def compute_residual(thermal: Thermal, offset: float) -> Array:
@@ -187,8 +206,11 @@ class _Problem:
                 [(tau + offset - record.tau)[is_finite] for tau, record, is_finite in rows]
             )
 
-        lower, upper, scale = np.array(list(_UNKNOWNS.values())[: 6 if searched else 5]).T
-        initial = np.zeros(len(scale))
+        names = tuple(_UNKNOWNS)
+        if not searched:
+            names = names[:-1]
+        lower, upper, scale = np.array([_UNKNOWNS[name] for name in names]).T
+        initial = np.zeros(len(names))
         if searched:
             initial[2:] = 1e-3, 1e-3, 0.0, np.log(start.time_constant)
         optimum = least_squares(
@@ -199,7 +221,6 @@ class _Problem:
         )
         rows = [int(is_finite.sum()) for is_finite in self._is_finite]
         labels = blocks_of_time(np.repeat(np.arange(len(rows)), rows))
-        names = tuple(_UNKNOWNS)[: len(scale)]
         errors = covariance_of_fit(names, optimum.jac, optimum.fun, labels).standard_errors
         thermal = build_thermal(optimum.x)
         all_temperatures = np.concatenate(list(temperatures(thermal)))
@@ -224,11 +245,10 @@ class _Problem:
         """Return the temperature of each record from its friction [degC]."""
         temperatures = [np.full_like(record.t, thermal.ambient) for record in self._records]
         for _ in range(_ROUND_COUNT):
+            powers = self._compute_powers(thermal, temperatures)
             temperatures = [
                 thermal.ambient + thermal.rise(power, dt)
-                for power, dt in zip(
-                    self._compute_powers(thermal, temperatures), self._steps, strict=True
-                )
+                for power, dt in zip(powers, self._steps, strict=True)
             ]
         return temperatures
 
@@ -241,16 +261,15 @@ class _Problem:
         measured_temperatures = np.concatenate(list(temperatures))
 
         def solve_heating(time: float) -> tuple[Array, float]:
+            # Unknowns: resistance, ambient, and the first temperature of each log.
             log_columns = []
             unit_thermal = replace(thermal, resistance=1.0, time_constant=time)
-            log_rows = zip(powers, self._steps, self._records, np.eye(len(powers)), strict=True)
-            for power, dt, record, record_column in log_rows:
+            is_log = np.eye(len(powers))
+            for k, record in enumerate(self._records):
+                rise = unit_thermal.rise(powers[k], self._steps[k])
                 decay = np.exp(-(record.t - record.t[0]) / time)
-                log_columns.append(
-                    np.column_stack(
-                        [unit_thermal.rise(power, dt), 1.0 - decay, np.outer(decay, record_column)]
-                    )
-                )
+                starts = np.outer(decay, is_log[k])
+                log_columns.append(np.column_stack([rise, 1.0 - decay, starts]))
             columns = np.concatenate(log_columns)
             unknowns = np.linalg.lstsq(columns, measured_temperatures, rcond=None)[0]
             return unknowns, float(np.sum((columns @ unknowns - measured_temperatures) ** 2))
