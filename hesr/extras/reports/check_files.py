@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version as installed
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 from fmu_src.check.rules import RULES, find_rule
@@ -35,9 +36,8 @@ def write_junit(path: Path, reports: Sequence[Report]) -> None:
             case = ET.SubElement(suite, "testcase", name=name, classname=str(report.path))
             case_text = "\n".join(f"{finding.severity}: {finding.found}" for finding in findings)
             if _has_error(findings):
-                ET.SubElement(
-                    case, "failure", message=findings[0].found, type=name
-                ).text = case_text
+                failure = ET.SubElement(case, "failure", message=findings[0].found, type=name)
+                failure.text = case_text
             elif findings:
                 ET.SubElement(case, "system-out").text = case_text
     ET.indent(root)
@@ -51,35 +51,17 @@ def _has_error(findings: Iterable[Finding]) -> bool:
 
 def write_sarif(path: Path, reports: Sequence[Report]) -> None:
     """Write a run with all rules and a result per finding."""
-    names = dict.fromkeys(
-        [*RULES, *(finding.check for report in reports for finding in report.problems)]
-    )
-    results = [
-        {
-            "ruleId": finding.check,
-            "ruleIndex": list(names).index(finding.check),
-            "level": _LEVELS[finding.severity],
-            "message": {"text": finding.found},
-            "locations": [
-                {"physicalLocation": {"artifactLocation": {"uri": report.path.as_posix()}}}
-            ],
-        }
-        for report in reports
-        for finding in report.problems
-    ]
+    # Rules of plug-ins follow ours in the order of their findings.
+    rule_indices = {name: k for k, name in enumerate(RULES)}
+    results = []
+    for report in reports:
+        for finding in report.problems:
+            rule_index = rule_indices.setdefault(finding.check, len(rule_indices))
+            results.append(_build_sarif_result(report.path, finding, rule_index))
     driver = {
         "name": "hesr check",
         "version": installed("hesr"),
-        "rules": [
-            {
-                "id": name,
-                "shortDescription": {"text": rule.finds},
-                "help": {"text": f"{rule.finds} ({rule.clause})"},
-                "helpUri": rule.link,
-                "defaultConfiguration": {"level": _LEVELS[rule.severity]},
-            }
-            for name, rule in zip(names, map(find_rule, names), strict=True)
-        ],
+        "rules": [_build_sarif_rule(name) for name in rule_indices],
     }
     data = {
         "$schema": _SCHEMA,
@@ -88,3 +70,25 @@ def write_sarif(path: Path, reports: Sequence[Report]) -> None:
     }
     with written_whole(path) as temporary:
         temporary.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+
+
+def _build_sarif_result(path: Path, finding: Finding, rule_index: int) -> dict[str, Any]:
+    location = {"physicalLocation": {"artifactLocation": {"uri": path.as_posix()}}}
+    return {
+        "ruleId": finding.check,
+        "ruleIndex": rule_index,
+        "level": _LEVELS[finding.severity],
+        "message": {"text": finding.found},
+        "locations": [location],
+    }
+
+
+def _build_sarif_rule(name: str) -> dict[str, Any]:
+    rule = find_rule(name)
+    return {
+        "id": name,
+        "shortDescription": {"text": rule.finds},
+        "help": {"text": f"{rule.finds} ({rule.clause})"},
+        "helpUri": rule.link,
+        "defaultConfiguration": {"level": _LEVELS[rule.severity]},
+    }

@@ -6,6 +6,7 @@ from pathlib import Path
 from statistics import geometric_mean
 
 from cosim.loop.closed_loop import StandIn
+from cosim.loop.traces import Tracked
 from cosim.report.markup import Tables
 from cosim.report.results import AREAS, Results
 from cosim.report.tables.laws import find_most_passing, properties
@@ -18,7 +19,15 @@ from cosim.report.tables.scores import (
     errors,
     find_leader,
 )
-from cosim.report.tables.table import ResultTable, TableRow, fixed_cell, make_row, markdown, title
+from cosim.report.tables.table import (
+    ResultTable,
+    TableCell,
+    TableRow,
+    fixed_cell,
+    make_row,
+    markdown,
+    title,
+)
 from cosim.study.scores import ORACLE, REFERENCE
 from hesr_model.audit.properties import EXPECTATIONS
 from hesr_model.fitting.estimator import papers_law
@@ -46,10 +55,8 @@ def write_digest(folders: Sequence[Path], output: Path) -> Path:
             for name, table in _collect_tables(results).items():
                 tables.csv(table, name)
             table_folder = f"{tables_folder.name}/{results.run.study}"
-            files = ", ".join(
-                f"[{Path(file).stem}]({table_folder}/{file})" for file in tables.written
-            )
-            parts += [*_describe_run(results), f"All laws: {files}.\n"]
+            links = [f"[{Path(file).stem}]({table_folder}/{file})" for file in tables.written]
+            parts += [*_describe_run(results), f"All laws: {', '.join(links)}.\n"]
         provide_file(output).write_text("\n".join(parts), encoding="utf-8")
     return output
 
@@ -58,23 +65,18 @@ def build_robot_table(runs: Sequence[Results]) -> ResultTable:
     """Return errors of the recommended law over those of the strongest reference, by joint."""
     rows = []
     for results in runs:
-        pairings = [results.compare_to_reference(j) for j in range(len(results.joints))]
-        ratios_by_area = [
-            [ratio for *_, ratios in pairings if (ratio := ratios[area])] for area in AREAS
-        ]
-        means = (
-            fixed_cell(geometric_mean(ratios) if ratios else None, 2) for ratios in ratios_by_area
-        )
-        rows += [make_row(results.run.robot), make_row("mean", "", "", *means)]
-        rows += [
-            make_row(
-                joint,
-                title(law_name),
-                title(reference),
-                *(fixed_cell(ratios[area], 2) for area in AREAS),
-            )
-            for joint, (law_name, reference, ratios) in zip(results.joints, pairings, strict=True)
-        ]
+        joint_rows = []
+        ratios_by_area: dict[str, list[float]] = {area: [] for area in AREAS}
+        for j, joint in enumerate(results.joints):
+            law_name, reference, ratios = results.compare_to_reference(j)
+            cells = [fixed_cell(ratios[area], 2) for area in AREAS]
+            joint_rows.append(make_row(joint, title(law_name), title(reference), *cells))
+            for area in AREAS:
+                ratio = ratios[area]
+                if ratio:
+                    ratios_by_area[area].append(ratio)
+        means = [_average_ratios(area_ratios) for area_ratios in ratios_by_area.values()]
+        rows += [make_row(results.run.robot), make_row("mean", "", "", *means), *joint_rows]
     return ResultTable(
         caption="Error of the recommended law over that of the strongest classic law with the same "
         "inputs or fewer, and over that of Coulomb + viscous friction, on the first test set "
@@ -84,6 +86,12 @@ def build_robot_table(runs: Sequence[Results]) -> ResultTable:
         rows=rows,
         words=(1, 2),
     )
+
+
+def _average_ratios(ratios: Sequence[float]) -> TableCell:
+    if not ratios:
+        return fixed_cell(None, 2)
+    return fixed_cell(geometric_mean(ratios), 2)
 
 
 def _collect_tables(results: Results) -> dict[str, ResultTable]:
@@ -125,35 +133,50 @@ def _describe_run(results: Results) -> Iterator[str]:
     yield markdown(build_short_table(results))
     if results.truths:
         yield "### Does the order of the laws depend on the true friction?\n"
-        leaders_text = ", ".join(
-            f"{title(find_leader(errors))} with {plant}" for plant, errors in results.truths.items()
-        )
-        yield f"{describe_true_friction(results.run.truth)} Lowest error: {leaders_text}.\n"
-        table = compare_truths(results.comparisons, results.truths, results.run.truth)
-        yield markdown(_select_rows(table, [REFERENCE, papers_law(), results.best, ORACLE]))
+        yield from _describe_truths(results)
     if results.loop:
         yield "### Does friction compensation improve tracking?\n"
         shown_laws = {*StandIn, REFERENCE, papers_law(), *results.recommended}
-        desired_rows = (row for row in results.loop.tracking if row.scheme.source == "desired")
-        tracking_rows = [row for row in desired_rows if row.law in shown_laws]
-        law_rows = [row for row in tracking_rows if row.law not in set(StandIn)]
-        body_rows = [row for row in tracking_rows if row.law == StandIn.BODY_ONLY]
-        if law_rows and body_rows:
-            best_row = min(law_rows, key=lambda row: float(row.mean.mean()))
-            body_row = next(
-                (row for row in body_rows if row.scheme == best_row.scheme), body_rows[0]
-            )
-            yield (
-                f"Yes: {best_row.scheme.title} with {title(best_row.law)} tracks to "
-                f"{1e3 * best_row.mean.mean():.2f} mrad, averaged over joints; "
-                f"{title(body_row.law)} to {1e3 * body_row.mean.mean():.2f} mrad.\n"
-                if best_row.mean.mean() < body_row.mean.mean()
-                else "No.\n"
-            )
-        yield markdown(tracking("RMSE of tracking [mrad], mean over the motions", tracking_rows))
+        yield from _describe_tracking(
+            [
+                row
+                for row in results.loop.tracking
+                if row.scheme.source == "desired" and row.law in shown_laws
+            ]
+        )
     if results.properties:
         yield "### Which laws behave as friction in physics checks?\n"
         yield from _describe_physics(results)
+
+
+def _describe_truths(results: Results) -> Iterator[str]:
+    """Yield the leaders on alternative plants, and the errors of a few laws."""
+    leaders_text = ", ".join(
+        f"{title(find_leader(errors))} with {plant}" for plant, errors in results.truths.items()
+    )
+    yield f"{describe_true_friction(results.run.truth)} Lowest error: {leaders_text}.\n"
+    table = compare_truths(results.comparisons, results.truths, results.run.truth)
+    yield markdown(_select_rows(table, [REFERENCE, papers_law(), results.best, ORACLE]))
+
+
+def _describe_tracking(rows: Sequence[Tracked]) -> Iterator[str]:
+    """Yield whether the best law tracks better than the body alone, and a table of all rows."""
+    law_rows = [row for row in rows if row.law not in set(StandIn)]
+    body_rows = [row for row in rows if row.law == StandIn.BODY_ONLY]
+    if law_rows and body_rows:
+        best_row = min(law_rows, key=lambda row: float(row.mean.mean()))
+        body_row = next((row for row in body_rows if row.scheme == best_row.scheme), body_rows[0])
+        best_error = best_row.mean.mean()
+        body_error = body_row.mean.mean()
+        if best_error < body_error:
+            yield (
+                f"Yes: {best_row.scheme.title} with {title(best_row.law)} tracks to "
+                f"{1e3 * best_error:.2f} mrad, averaged over joints; "
+                f"{title(body_row.law)} to {1e3 * body_error:.2f} mrad.\n"
+            )
+        else:
+            yield "No.\n"
+    yield markdown(tracking("RMSE of tracking [mrad], mean over the motions", rows))
 
 
 def _describe_prediction(results: Results) -> str:
@@ -199,14 +222,11 @@ def _describe_physics(results: Results) -> Iterator[str]:
         f"{', '.join(map(title, laws))}: {most_passed} of {len(EXPECTATIONS)} checks passed on all "
         f"joints, the most of {len(properties_by_law)} laws.\n"
     )
-    rows = [
-        make_row(
-            title(law_name),
-            str(properties_by_law[law_name].passed),
-            "; ".join(properties_by_law[law_name].failed) or "–",
-        )
-        for law_name in dict.fromkeys([REFERENCE, papers_law(), *results.recommended, *laws])
-        if law_name in properties_by_law
-    ]
+    rows = []
+    for law_name in dict.fromkeys([REFERENCE, papers_law(), *results.recommended, *laws]):
+        if law_name in properties_by_law:
+            law_properties = properties_by_law[law_name]
+            failures = "; ".join(law_properties.failed) or "–"
+            rows.append(make_row(title(law_name), str(law_properties.passed), failures))
     head = ("law", "passed", "fails on at least one joint")
     yield markdown(ResultTable(caption="Physics checks", head=head, rows=rows, numeric=False))
