@@ -81,8 +81,8 @@ def export_reduced(
     if into is not None:  # first, as the rest takes longer
         copy = XmlCopy(into)
         elements = [find_joint(copy, text_format, joint) for joint in model.joints]
-    training = [part for source in log for part in read_log(source, robot).parts()]
-    tests = [part for source in test_log for part in read_log(source, robot).parts()]
+    training = _read_parts(log, robot)
+    tests = _read_parts(test_log, robot)
     if model.servos:
         joints = _reduce_from_commands(model, training, tests, robot, weight)
     else:
@@ -106,6 +106,14 @@ def export_reduced(
     return [*price_lines, *remarks]
 
 
+def _read_parts(sources: Sequence[LogSource], robot: Robot) -> list[Log]:
+    """Return the parts between gaps of all logs."""
+    parts: list[Log] = []
+    for source in sources:
+        parts += read_log(source, robot).parts()
+    return parts
+
+
 def _reduce_from_commands(
     model: FrictionModel,
     training: Sequence[Log],
@@ -115,7 +123,9 @@ def _reduce_from_commands(
 ) -> list[ReducedJoint]:
     """Return the numbers of laws that were fitted to commands, with their servos."""
     training_run = read_commands(model, training, robot)
-    test_run = read_commands(model, tests, robot) if tests else training_run
+    test_run = training_run
+    if tests:
+        test_run = read_commands(model, tests, robot)
     joints = reduce_model(
         model,
         predict_friction(model, training_run),
@@ -124,11 +134,11 @@ def _reduce_from_commands(
         find_inertias(training_run),
         weight,
     )
-    with_servos = []
+    driven_joints = []
     for joint, fitted in zip(joints, model.servos, strict=True):
         armature = fitted.servo.armature or None
-        with_servos.append(replace(joint, servo=fitted.servo, armature=armature))
-    return _add_positions(model, with_servos, test_run)
+        driven_joints.append(replace(joint, servo=fitted.servo, armature=armature))
+    return _add_positions(model, driven_joints, test_run)
 
 
 def _reduce_from_torques(
@@ -143,7 +153,9 @@ def _reduce_from_torques(
     """Return the numbers of laws of torques."""
     body = rigid_body or model.rigid_body
     training_records = _separate_friction(model, training, robot, rigid_body)
-    test_records = _separate_friction(model, tests, robot, rigid_body) if tests else None
+    test_records = None
+    if tests:
+        test_records = _separate_friction(model, tests, robot, rigid_body)
     inertias = _find_mean_inertias(robot, body, training_records)
     joints = reduce_model(model, training_records, test_records, body, inertias, weight)
     gains = kp or _find_stated_gains(robot)
@@ -157,7 +169,9 @@ def _find_stated_gains(robot: Robot) -> Sequence[float] | None:
     servo = robot.description.servo
     gains = [servo.find_stated("kp", j, robot.n) for j in range(robot.n)]
     stated_gains = [gain for gain in gains if gain is not None]
-    return stated_gains if len(stated_gains) == robot.n else None
+    if len(stated_gains) < robot.n:
+        return None
+    return stated_gains
 
 
 def _add_positions(
@@ -178,7 +192,10 @@ def _separate_friction(
 def _find_mean_inertias(robot: Robot, body: RigidBody | None, records: LogRecords) -> list[float]:
     """Return the inertia at each joint [kg.m2], the mean over positions of the logs."""
     parameters = robot.nominal_parameters if body is None else body.parameters_for(robot)
-    positions = [np.stack([record.q for record in log_records], axis=1) for log_records in records]
+    positions = []
+    for log_records in records:
+        joint_positions = [record.q for record in log_records]
+        positions.append(np.stack(joint_positions, axis=1))
     q = np.concatenate(positions)
     step = max(1, len(q) // _INERTIA_ROWS)
     mass_matrices, _ = robot.dynamics(parameters, q[::step], np.zeros_like(q[::step]))
@@ -198,9 +215,8 @@ def _describe_price(joints: Sequence[ReducedJoint], *, is_held_back: bool) -> It
     yield f"Price on {rows}: {errors}, variance lost, energy kept:"
     for joint in joints:
         price = joint.price
-        force, speed = (
-            unit_of_joint(unit, is_prismatic=joint.sliding) for unit in ("N.m", "rad/s")
-        )
+        force = unit_of_joint("N.m", is_prismatic=joint.sliding)
+        speed = unit_of_joint("rad/s", is_prismatic=joint.sliding)
         rmses = f"{price.law_rmse:.4g} and {price.rmse:.4g}"
         if joint.servo is not None:
             rmses = f"{price.rmse:.4g}"
@@ -224,16 +240,15 @@ def _describe_positions(joints: Sequence[ReducedJoint]) -> Iterator[str]:
             continue
         unit = "mm" if joint.sliding else "mrad"
         gain = unit_of_joint("N.m/rad", is_prismatic=joint.sliding)
-        law, numbers, in_mujoco = (
-            f"{1e3 * value:.3g}" for value in (price.law, price.numbers, price.in_mujoco)
-        )
+        numbers = f"{1e3 * price.numbers:.3g}"
+        in_mujoco = f"{1e3 * price.in_mujoco:.3g}"
         if np.isinf(price.in_mujoco):
             in_mujoco = "unstable"
         in_mujoco += f" in MuJoCo at steps of {1e3 * STEP:g} ms"
         if price.is_measured:
             yield (
-                f"{joint.name}: position RMSE from commands {law} {unit} with the law, {numbers} "
-                f"with the numbers, {in_mujoco}."
+                f"{joint.name}: position RMSE from commands {1e3 * price.law:.3g} {unit} with the "
+                f"law, {numbers} with the numbers, {in_mujoco}."
             )
         else:
             yield (

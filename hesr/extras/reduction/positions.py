@@ -57,17 +57,21 @@ def assume_servos(
     Logs without commands are followed: their positions are the commands.
     """
     parameters = robot.nominal_parameters if body is None else body.parameters_for(robot)
-    rotors = parameters[10 * robot.links : robot.inertial]
-    armatures = rotors if len(rotors) == robot.n else np.zeros(robot.n)
-    followed = [log if log.q_cmd is not None else replace(log, q_cmd=log.q) for log in logs]
-    return ServoRun(
-        servos=[
-            JointServo(kp=gain, armature=armature)
-            for gain, armature in zip(kp, armatures.tolist(), strict=True)
-        ],
-        records=read_servo_records(followed, robot, parameters),
-        is_measured=False,
-    )
+    armatures = parameters[10 * robot.links : robot.inertial]
+    if len(armatures) != robot.n:  # the body has no rotors
+        armatures = np.zeros(robot.n)
+    servos = [
+        JointServo(kp=gain, armature=armature)
+        for gain, armature in zip(kp, armatures.tolist(), strict=True)
+    ]
+    commanded_logs = []
+    for log in logs:
+        if log.q_cmd is None:
+            commanded_logs.append(replace(log, q_cmd=log.q))
+        else:
+            commanded_logs.append(log)
+    records = read_servo_records(commanded_logs, robot, parameters)
+    return ServoRun(servos=servos, records=records, is_measured=False)
 
 
 def predict_friction(model: FrictionModel, run: ServoRun) -> LogRecords:
@@ -85,11 +89,11 @@ def predict_friction(model: FrictionModel, run: ServoRun) -> LogRecords:
 
 def find_inertias(run: ServoRun) -> list[float]:
     """Return the mean inertia at each joint over the records [kg.m2]."""
-    return [
-        servo.body_factor * float(np.mean(np.concatenate([record.inertia for record in records])))
-        + servo.armature
-        for servo, records in zip(run.servos, run.records, strict=True)
-    ]
+    inertias = []
+    for servo, records in zip(run.servos, run.records, strict=True):
+        body_inertia = np.concatenate([record.inertia for record in records])
+        inertias.append(servo.body_factor * float(np.mean(body_inertia)) + servo.armature)
+    return inertias
 
 
 def add_position_price(

@@ -141,7 +141,9 @@ def reduce_model(
     weight : weight of a row in the projection.
     """
     training_rows = list(_find_moving_rows(model, training))
-    test_rows = training_rows if tests is None else list(_find_moving_rows(model, tests))
+    test_rows = training_rows
+    if tests is not None:
+        test_rows = list(_find_moving_rows(model, tests))
     joints = []
     for j, rows in enumerate(training_rows):
         frictionloss, damping = project(rows.dq, rows.tau_law, weight)
@@ -177,7 +179,9 @@ def project(dq: Array, tau: Array, weight: Weight) -> tuple[float, float]:
     """
     columns = np.stack([np.sign(dq), dq], axis=1)
     scale = np.max(np.abs(columns), axis=0)
-    root_weights = np.sqrt(np.abs(dq)) if weight == "power" else np.ones(len(dq))
+    root_weights = np.ones(len(dq))
+    if weight == "power":
+        root_weights = np.sqrt(np.abs(dq))
     unknowns, _ = nnls(root_weights[:, None] * columns / scale, root_weights * tau)
     frictionloss, damping = unknowns / scale
     if damping == 0.0:
@@ -193,13 +197,14 @@ def _find_moving_rows(model: FrictionModel, records: LogRecords) -> Iterator[_Mo
         resting_speed = find_resting_speed(joint_records)
         is_moving = [moving(record.dq, resting_speed) for record in joint_records]
         if not any(np.any(mask) for mask in is_moving):
+            log_names = ", ".join(record.log for record in joint_records)
             raise ExportError(
-                f"joint '{model.joints[j]}': it stands still in "
-                f"{', '.join(record.log for record in joint_records)}; add logs in which it moves."
+                f"joint '{model.joints[j]}': it stands still in {log_names}; add logs in which it "
+                "moves."
             )
-        names = [np.full(len(record.t), record.log) for record in joint_records]
+        moving_counts = [np.count_nonzero(mask) for mask in is_moving]
         yield _MovingRows(
-            log=np.concatenate([name[rows] for name, rows in zip(names, is_moving, strict=True)]),
+            log=np.repeat([record.log for record in joint_records], moving_counts),
             dq=_join([record.dq for record in joint_records], is_moving),
             tau_load=_join([record.tau_load for record in joint_records], is_moving),
             tau=_join([record.tau for record in joint_records], is_moving),
@@ -218,6 +223,9 @@ def _compute_price(rows: _MovingRows, frictionloss: float, damping: float) -> Pr
     error = tau_reduced - rows.tau
     variance = float(np.var(rows.tau))
     log_rmses = [rmse(error[rows.log == log]) for log in np.unique(rows.log)]
+    spread = None
+    if len(log_rmses) > 1:
+        spread = (min(log_rmses), max(log_rmses))
     return Price(
         law_rmse=rmse(law_error),
         rmse=rmse(error),
@@ -225,7 +233,7 @@ def _compute_price(rows: _MovingRows, frictionloss: float, damping: float) -> Pr
         energy=float(tau_reduced @ rows.dq) / float(rows.tau_law @ rows.dq),
         speeds=(float(np.min(np.abs(rows.dq))), float(np.max(np.abs(rows.dq)))),
         loads=(float(np.min(rows.tau_load)), float(np.max(rows.tau_load))),
-        spread=(min(log_rmses), max(log_rmses)) if len(log_rmses) > 1 else None,
+        spread=spread,
     )
 
 
@@ -239,4 +247,6 @@ def _find_armature(body: RigidBody | None, joint: str) -> float | None:
     k = body.names.index(name)
     is_separate = k in body.base or body.kind != "free"
     armature = float(body.parameters[k])
-    return armature if is_separate and armature > 0.0 else None
+    if is_separate and armature > 0.0:
+        return armature
+    return None

@@ -83,8 +83,9 @@ def follow_commands(
             mujoco.mj_step(model, data)
         positions[k + 1] = data.qpos[0]
     # MuJoCo begins anew after numbers that are not finite, and counts them.
-    is_unstable = any(warning.number for warning in data.warning)
-    return np.full_like(positions, np.inf) if is_unstable else positions
+    if any(warning.number for warning in data.warning):
+        return np.full_like(positions, np.inf)
+    return positions
 
 
 def _build_axis(
