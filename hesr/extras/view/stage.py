@@ -54,18 +54,15 @@ def choose(folder: Path, options: ViewOptions) -> Selection:
     """Read the runs to show."""
     if not folder.is_dir():
         raise ArtifactError(f"{folder}: no such folder; give a result of 'hesr run'.")
-    traces = read_traces(folder / TRACES)
-    schemes = list(dict.fromkeys(scheme.name for scheme, _ in traces))
-    scheme = options.scheme or (_SCHEME if _SCHEME in schemes else schemes[-1])
-    if scheme not in schemes:
+    traces_by_scheme: dict[str, dict[str, Trace]] = {}
+    for (trace_scheme, law_name), trace in read_traces(folder / TRACES).items():
+        traces_by_scheme.setdefault(trace_scheme.name, {})[law_name] = trace
+    scheme = options.scheme or _choose_scheme(list(traces_by_scheme))
+    if scheme not in traces_by_scheme:
         raise ArgumentError(
-            f"'scheme' is '{scheme}'; there are {_quote_names(schemes)} in {folder}."
+            f"'scheme' is '{scheme}'; there are {_quote_names(traces_by_scheme)} in {folder}."
         )
-    scheme_traces = {
-        law_name: trace
-        for (trace_scheme, law_name), trace in traces.items()
-        if trace_scheme.name == scheme
-    }
+    scheme_traces = traces_by_scheme[scheme]
     laws = list(options.laws) or _choose_laws(scheme_traces)
     for law_name in laws:
         if law_name not in scheme_traces:
@@ -85,7 +82,14 @@ def choose(folder: Path, options: ViewOptions) -> Selection:
     )
 
 
+def _choose_scheme(schemes: Sequence[str]) -> str:
+    if _SCHEME in schemes:
+        return _SCHEME
+    return schemes[-1]
+
+
 def _choose_laws(runs: Mapping[str, Trace]) -> list[str]:
+    """Return the body alone and the law that tracks best, or the first run."""
     errors = {
         law_name: float(np.sqrt(np.mean((trace.q - trace.q_d) ** 2)))
         for law_name, trace in runs.items()
@@ -99,8 +103,10 @@ def _choose_laws(runs: Mapping[str, Trace]) -> list[str]:
 def _read_mjcf(fmu: Path) -> str:
     if not fmu.is_file():
         raise ArtifactError(f"{fmu}: no such file; rerun 'hesr run'.")
+    content = b""
     with Archive(fmu) as archive:
-        content = archive.read(_MODEL) if _MODEL in archive.names else b""
+        if _MODEL in archive.names:
+            content = archive.read(_MODEL)
     with suppress(UnicodeDecodeError):
         text = content.decode("utf-8")
         if text:
@@ -192,12 +198,20 @@ def _draw_capsules(spec: Any, reach: float, paint: Paint) -> None:
                     **link_options,
                 )
         for joint in body.joints:
-            is_hinge = joint.type == mujoco.mjtJoint.mjJNT_HINGE
-            half_axis = (1.2 if is_hinge else 2.0) * radius * np.array(joint.axis)
+            # A drum around the axis of a hinge, a longer box along that of a slide.
+            if joint.type == mujoco.mjtJoint.mjJNT_HINGE:
+                shape = geom_types.mjGEOM_CYLINDER
+                half_length = 1.2
+                width = radius * _JOINT_RADIUS_RATIO
+            else:
+                shape = geom_types.mjGEOM_BOX
+                half_length = 2.0
+                width = radius * 0.8
+            half_axis = half_length * radius * np.array(joint.axis)
             add_geom(
-                type=geom_types.mjGEOM_CYLINDER if is_hinge else geom_types.mjGEOM_BOX,
+                type=shape,
                 fromto=[*(joint.pos - half_axis), *(joint.pos + half_axis)],
-                size=[radius * (_JOINT_RADIUS_RATIO if is_hinge else 0.8), radius * 0.8, 0.0],
+                size=[width, radius * 0.8, 0.0],
                 rgba=paint.joints,
             )
         if not body.bodies:
@@ -345,10 +359,12 @@ class Stage:
 
     def legend(self, t: float) -> tuple[str, str]:
         """Return the two-column legend at time t [s]."""
-        magnification = "" if self._magnify == 1.0 else f", deviations x {self._magnify:g}"
+        actual_text = "actual"
+        if self._magnify != 1.0:
+            actual_text += f", deviations x {self._magnify:g}"
         legend = {
             "blue": "commanded",
-            "orange": f"actual{magnification}",
+            "orange": actual_text,
             "mrad": "RMSE by joint",
             f"{t:4.1f} s": self._scheme,
         }
