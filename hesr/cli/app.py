@@ -85,8 +85,10 @@ class _CommonOptions:
     def take_from(cls, arguments: dict[str, Any]) -> "_CommonOptions":
         """Return the common options of a command line, and remove them from its arguments."""
         json_file = arguments.pop("json_file", None)
+        if json_file is not None:
+            json_file = Path(json_file)
         return cls(
-            json_file=None if json_file is None else Path(json_file),
+            json_file=json_file,
             fail_on=arguments.pop("fail_on"),
             quiet=arguments.pop("quiet"),
             verbose=arguments.pop("verbose"),
@@ -157,7 +159,9 @@ def _exit_code(answer: "Answer", fail_on: str) -> int:
         return 0
     from hesr_model.findings import select_by_severity  # slow to import
 
-    return 1 if select_by_severity(answer.findings, fail_on) else 0
+    if select_by_severity(answer.findings, fail_on):
+        return 1
+    return 0
 
 
 def _module(function: Function) -> dict[str, Any]:

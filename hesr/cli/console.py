@@ -4,6 +4,7 @@ import _thread
 import codecs
 import logging
 import os
+import re
 import signal
 import sys
 import threading
@@ -90,9 +91,11 @@ def _describe_system_error(error: OSError) -> str:
             require_room(find_temporary_folder())
         except ArtifactError as room_error:
             return str(room_error)
-    file_prefix = f"{sanitise(error.filename)}: " if isinstance(error.filename, str) else ""
     reason = " ".join((error.strerror or str(error)).split()).rstrip(".")
-    return f"{file_prefix}the system reports an error ({reason})."
+    sentence = f"the system reports an error ({reason})."
+    if isinstance(error.filename, str):
+        return f"{sanitise(error.filename)}: {sentence}"
+    return sentence
 
 
 def require_environment() -> None:
@@ -103,13 +106,12 @@ def require_environment() -> None:
     with suppress(ImportError):  # Windows has no such limits
         import resource
 
-        for resource_limit, minimum, name, unit, option in (
-            (resource.RLIMIT_AS, _MIN_MEMORY, "memory", " MB", "v"),
-            (resource.RLIMIT_NOFILE, _MIN_OPEN_FILES, "open files", "", "n"),
+        for resource_limit, minimum, name, scale, unit, option in (
+            (resource.RLIMIT_AS, _MIN_MEMORY, "memory", 10**6, " MB", "v"),
+            (resource.RLIMIT_NOFILE, _MIN_OPEN_FILES, "open files", 1, "", "n"),
         ):
             limit = resource.getrlimit(resource_limit)[0]
             if limit != resource.RLIM_INFINITY and limit < minimum:
-                scale = 10**6 if unit else 1
                 raise ConfigError(
                     f"the limit of {name} is {limit // scale}{unit}; at least "
                     f"{minimum // scale}{unit} are needed (ulimit -{option})."
@@ -164,10 +166,9 @@ def accept_any_text() -> None:
 def _replace_unencodable(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
-    text = unicodedata.normalize("NFKD", error.object[error.start : error.end]).translate(
-        _ASCII_REPLACEMENTS
-    )
-    return "".join(c if c.isascii() else "?" for c in text), error.end
+    text = unicodedata.normalize("NFKD", error.object[error.start : error.end])
+    text = text.translate(_ASCII_REPLACEMENTS)
+    return re.sub(r"[^\x00-\x7f]", "?", text), error.end
 
 
 INTERRUPTED = 130  # exit codes after signals: 128 and the number of the signal
@@ -207,12 +208,13 @@ def direct_output(*, quiet: bool, verbose: bool, json_file: Path | None) -> Iter
             if isinstance(interrupt, Interrupted):
                 saved_note = f", and {interrupt.resume_hint}"
                 cause = interrupt.interrupt
-            is_terminated = isinstance(cause, _Ended)
-            ending = "ended by another program" if is_terminated else "interrupted"
+            ending = "interrupted"
+            exit_code = INTERRUPTED
+            if isinstance(cause, _Ended):
+                ending = "ended by another program"
+                exit_code = 128 + signal.SIGTERM
             click.echo(f"hesr: {ending}; no file is half-written{saved_note}.", err=True)
-            raise click.exceptions.Exit(
-                128 + signal.SIGTERM if is_terminated else INTERRUPTED
-            ) from interrupt
+            raise click.exceptions.Exit(exit_code) from interrupt
 
 
 class _LogHandler(logging.StreamHandler[TextIO]):
@@ -243,7 +245,9 @@ def _configure_logging(*, quiet: bool, verbose: bool) -> Iterator[None]:
         handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     else:
         handler.setFormatter(logging.Formatter("hesr: %(message)s"))
-        handler.setLevel(logging.ERROR if quiet else logging.WARNING)
+        handler.setLevel(logging.WARNING)
+    if quiet:
+        handler.setLevel(logging.ERROR)
     for name in _PACKAGES:
         logging.getLogger(name).addHandler(handler)
         if verbose:
@@ -259,50 +263,73 @@ def _configure_logging(*, quiet: bool, verbose: bool) -> Iterator[None]:
 @contextmanager
 def interrupt_on_signals() -> Iterator[None]:
     """Raise KeyboardInterrupt on Ctrl-C and SIGTERM, so that temporary files are removed."""
-    signal_numbers = [signal.SIGINT, signal.SIGTERM]
     if threading.current_thread() is not threading.main_thread():
-        signal_numbers = []
-    last_time = -_MIN_INTERRUPT_INTERVAL
-
-    def interrupt(number: int, _frame: object) -> None:
-        nonlocal last_time
-        now = time.monotonic()
-        if now - last_time >= _MIN_INTERRUPT_INTERVAL:
-            last_time = now
-            raise KeyboardInterrupt if number == signal.SIGINT else _Ended
-
-    def repeat_interrupt(unraisable: "sys.UnraisableHookArgs") -> None:
-        # Python drops an exception raised during a deallocation: raise it once more.
-        nonlocal last_time
-        if not isinstance(unraisable.exc_value, KeyboardInterrupt):
-            previous_hook(unraisable)
-            return
-        last_time = -_MIN_INTERRUPT_INTERVAL
-        number = signal.SIGTERM if isinstance(unraisable.exc_value, _Ended) else signal.SIGINT
-        timers.append(threading.Timer(_REPEAT_DELAY, _raise_in_main_thread, (number,)))
-        timers[-1].start()
-
+        yield  # other threads receive no signals
+        return
     # A script that starts a command in the background may make it ignore Ctrl-C.
-    heeded_signals = [s for s in signal_numbers if signal.getsignal(s) is not signal.SIG_IGN]
-    previous_handlers = {s: signal.signal(s, interrupt) for s in heeded_signals}
-    timers: list[threading.Timer] = []
-    previous_hook = sys.unraisablehook
-    if heeded_signals:
-        sys.unraisablehook = repeat_interrupt
+    heeded_signals = [
+        number
+        for number in (signal.SIGINT, signal.SIGTERM)
+        if signal.getsignal(number) is not signal.SIG_IGN
+    ]
+    if not heeded_signals:
+        yield
+        return
+    interrupts = _Interrupts()
+    previous_handlers = {
+        number: signal.signal(number, interrupts.interrupt) for number in heeded_signals
+    }
+    sys.unraisablehook = interrupts.repeat
     try:
         yield
     finally:
-        if heeded_signals:
-            sys.unraisablehook = previous_hook
-        for timer in timers:
-            timer.cancel()
+        sys.unraisablehook = interrupts.previous_hook
+        interrupts.cancel_repeats()
         for number, handler in previous_handlers.items():
             signal.signal(number, handler)
 
 
+class _Interrupts:
+    """Handlers that raise an exception for a signal, and again if Python drops it."""
+
+    def __init__(self) -> None:
+        self.previous_hook = sys.unraisablehook
+        self._last_time = -_MIN_INTERRUPT_INTERVAL  # [s] of the last interrupt
+        self._timers: list[threading.Timer] = []
+
+    def interrupt(self, number: int, _frame: object) -> None:
+        """Raise the exception of a signal, unless it repeats one that is being handled."""
+        now = time.monotonic()
+        if now - self._last_time < _MIN_INTERRUPT_INTERVAL:
+            return
+        self._last_time = now
+        if number == signal.SIGINT:
+            raise KeyboardInterrupt
+        raise _Ended
+
+    def repeat(self, unraisable: "sys.UnraisableHookArgs") -> None:
+        """Raise once more what was raised during a deallocation, where Python drops exceptions."""
+        if not isinstance(unraisable.exc_value, KeyboardInterrupt):
+            self.previous_hook(unraisable)
+            return
+        self._last_time = -_MIN_INTERRUPT_INTERVAL
+        number = signal.SIGINT
+        if isinstance(unraisable.exc_value, _Ended):
+            number = signal.SIGTERM
+        timer = threading.Timer(_REPEAT_DELAY, _raise_in_main_thread, (number,))
+        self._timers.append(timer)
+        timer.start()
+
+    def cancel_repeats(self) -> None:
+        """Cancel what is still to be raised."""
+        for timer in self._timers:
+            timer.cancel()
+
+
 def _raise_in_main_thread(number: int) -> None:
-    if hasattr(signal, "pthread_kill") and (ident := threading.main_thread().ident):
-        signal.pthread_kill(ident, number)  # ends its waiting
+    thread_id = threading.main_thread().ident
+    if hasattr(signal, "pthread_kill") and thread_id:
+        signal.pthread_kill(thread_id, number)  # ends its waiting
     else:
         _thread.interrupt_main(signal.Signals(number))
 

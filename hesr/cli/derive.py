@@ -112,7 +112,9 @@ class _Pair(Kind):
 
 
 def _option(param: click.Parameter | None) -> str:
-    return param.opts[-1] if param else "the option"
+    if param is None:
+        return "the option"
+    return param.opts[-1]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,7 +158,9 @@ def _name_options(text: str, function: Function) -> str:
         name = match[1]
         if name in parameters and parameters[name].kind is inspect.Parameter.KEYWORD_ONLY:
             return _name_option(function.__name__, name)
-        return f"'hesr {name}'" if name in VERBS else f"'{name}'"
+        if name in VERBS:
+            return f"'hesr {name}'"
+        return f"'{name}'"
 
     return re.sub(r"`+([^`]+)`+", replace, text).strip()
 
@@ -185,9 +189,8 @@ def command(
         if parameter.kind is not parameter.VAR_KEYWORD and parameter.name != "progress"
     ]
     if "listing" in vars(sys.modules[function.__module__]):
-        parameters.append(
-            click.Option(["--list", "listing"], is_flag=True, help="List the choices.")
-        )
+        listing = click.Option(["--list", "listing"], is_flag=True, help="List the choices.")
+        parameters.append(listing)
     section_options = {
         section.title: _section_options(name, section, function) for section in sections
     }
@@ -246,13 +249,15 @@ class _Command(click.Command):
         return super().parse_args(ctx, args)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        names_in_sections = {option.name for section in self.sections for option in section.options}
-        general = [
+        names_in_sections: set[str] = set()
+        for section in self.sections:
+            names_in_sections |= {option.name for option in section.options}
+        general_options = [
             param
             for param in self.get_params(ctx)
             if isinstance(param, click.Option) and param.name not in names_in_sections
         ]
-        _write_section(formatter, "Options", _help_records(general, ctx))
+        _write_section(formatter, "Options", _help_records(general_options, ctx))
         for section in self.sections:
             records = _help_records(self.section_options[section.title], ctx)
             _write_section(formatter, section.title, [*section.formats, *records])
@@ -274,11 +279,15 @@ def _write_section(
 
 def _select_arguments(arguments: dict[str, Any]) -> dict[str, Any]:
     """Return the arguments that are set; several tables become one."""
-    return {
-        name: _merge_tables(value) if _is_tables(value) else value
-        for name, value in arguments.items()
-        if value not in (None, ())
-    }
+    selected = {}
+    for name, value in arguments.items():
+        if value in (None, ()):
+            continue
+        if _is_tables(value):
+            selected[name] = _merge_tables(value)
+        else:
+            selected[name] = value
+    return selected
 
 
 def _is_tables(value: object) -> bool:
@@ -288,50 +297,68 @@ def _is_tables(value: object) -> bool:
 def _merge_tables(tables: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Return one table of several; the last of several plain values counts."""
     merged: dict[str, Any] = {}
-    for key, value in (pair for table in tables for pair in table.items()):
-        entries = [merged.get(key), value]
-        merged[key] = (
-            _merge_tables(entries) if all(isinstance(entry, dict) for entry in entries) else value
-        )
+    for table in tables:
+        for key, value in table.items():
+            earlier_value = merged.get(key)
+            if isinstance(earlier_value, dict) and isinstance(value, dict):
+                merged[key] = _merge_tables([earlier_value, value])
+            else:
+                merged[key] = value
     return merged
 
 
 def _build_parameter(
     verb: str, parameter: inspect.Parameter, text: str, function: Function
 ) -> click.Parameter:
+    """Return the argument or option of a parameter, with its help text."""
     form = _find_form(verb, parameter.name)
     annotation = str(parameter.annotation).removesuffix(" | None")
-    item_match = re.fullmatch(r"Sequence\[(.*)\]|.* \| Iterable\[(.*)\]", annotation)
-    item_annotation = _ITEMS.get(annotation, annotation)
-    if item_match:
-        item_annotation = item_match[1] or item_match[2]
+    item_annotation = _find_item_annotation(annotation)
     is_repeated = item_annotation != annotation
-    is_required = parameter.default is parameter.empty
     if parameter.kind is parameter.POSITIONAL_OR_KEYWORD and not form.option:
-        metavar = form.metavar or parameter.name.upper()
-        return click.Argument(
-            [parameter.name],
-            nargs=-1 if is_repeated else 1,
-            required=is_required,
-            metavar=(metavar if is_required else f"[{metavar}]") + "..." * is_repeated,
-            help=text,
-        )
+        return _build_argument(parameter, form, text, is_repeated=is_repeated)
+    option_name = _name_option(verb, parameter.name)
     if item_annotation == "bool":
-        return click.Option(
-            [_name_option(verb, parameter.name), parameter.name], is_flag=True, help=text
-        )
+        return click.Option([option_name, parameter.name], is_flag=True, help=text)
     kind = _choose_kind(item_annotation, function, form)
     is_multiple = is_repeated or isinstance(kind, _Pair)
     if is_multiple and text:
         text = f"{text.removesuffix('.')} ({form.repetition})."
+    completion = None
+    if form.complete:
+        completion = _build_completion(form.complete)
     return click.Option(
-        [*(form.names or (_name_option(verb, parameter.name),)), parameter.name],
+        [*(form.names or (option_name,)), parameter.name],
         type=kind,
         multiple=is_multiple,
-        required=is_required,
+        required=parameter.default is parameter.empty,
         metavar=form.metavar or _choose_metavar(item_annotation, kind),
         help=text,
-        shell_complete=_build_completion(form.complete) if form.complete else None,
+        shell_complete=completion,
+    )
+
+
+def _find_item_annotation(annotation: str) -> str:
+    """Return the annotation of one item of a parameter of several, or that of a single one."""
+    item_match = re.fullmatch(r"Sequence\[(.*)\]|.* \| Iterable\[(.*)\]", annotation)
+    if item_match:
+        return item_match[1] or item_match[2]
+    return _ITEMS.get(annotation, annotation)
+
+
+def _build_argument(
+    parameter: inspect.Parameter, form: Form, text: str, *, is_repeated: bool
+) -> click.Argument:
+    is_required = parameter.default is parameter.empty
+    metavar = form.metavar or parameter.name.upper()
+    if not is_required:
+        metavar = f"[{metavar}]"
+    count = 1
+    if is_repeated:
+        metavar += "..."
+        count = -1  # any number
+    return click.Argument(
+        [parameter.name], nargs=count, required=is_required, metavar=metavar, help=text
     )
 
 
@@ -356,7 +383,11 @@ def _choose_metavar(annotation: str, kind: Kind) -> str | None:
     if isinstance(kind, click.Choice):
         return None
     words = {"str": "NAME", "float": "X", "int": "N", "PathArg": "FILE"}
-    return words.get(annotation, kind.name if isinstance(kind, _Numbers | _Pair) else "FILE")
+    if annotation in words:
+        return words[annotation]
+    if isinstance(kind, _Numbers | _Pair):
+        return kind.name
+    return "FILE"
 
 
 def _build_completion(source: str) -> Callable[[Any, Any, str], list[str]]:
@@ -391,7 +422,10 @@ def _common_options() -> Iterator[click.Option]:
 
 
 def _format_examples(examples: Sequence[str]) -> str:
-    lines = ["\b", f"Example{'s' * (len(examples) > 1)}:"]
+    heading = "Example:"
+    if len(examples) > 1:
+        heading = "Examples:"
+    lines = ["\b", heading]
     for example in examples:
         line = " "
         for part in re.split(" (?=-)", example):  # an option stays with its value
