@@ -233,21 +233,6 @@ def _describe_dynamics(joints: Sequence[ReducedJoint]) -> Iterator[str]:
 
 def compose_isaaclab(joints: Sequence[ReducedJoint], comments: Comments) -> str:
     """Return an actuator configuration of Isaac Lab (Isaac Sim 5 and newer), as Python."""
-    servos = {joint.name: joint.servo for joint in joints if joint.servo is not None}
-    friction = {joint.name: joint.frictionloss for joint in joints}
-    values_by_field: dict[str, Mapping[str, float]] = {
-        "stiffness": {name: servo.kp for name, servo in servos.items()},
-        "damping": {name: servo.kd for name, servo in servos.items()},
-        "effort_limit_sim": {
-            name: servo.torque_limit
-            for name, servo in servos.items()
-            if servo.torque_limit is not None
-        },
-        "friction": friction,
-        "dynamic_friction": friction,
-        "viscous_friction": {joint.name: joint.damping for joint in joints},
-        "armature": {joint.name: joint.armature for joint in joints if joint.armature is not None},
-    }
     lines = [f"# {comment}" for comment in comments]
     lines += [
         "from isaaclab.actuators import ImplicitActuatorCfg",
@@ -255,12 +240,37 @@ def compose_isaaclab(joints: Sequence[ReducedJoint], comments: Comments) -> str:
         "FRICTION = ImplicitActuatorCfg(",
         f"    joint_names_expr={json.dumps([joint.name for joint in joints])},",
     ]
-    for field, values in values_by_field.items():
+    for field, values in _list_isaaclab_fields(joints).items():
         if values:
             lines += [f"    {field}={{", *_list_items(values), "    },"]
         elif field in ("stiffness", "damping"):
             lines.append(f"    {field}=None,")
     return "\n".join([*lines, ")", ""])
+
+
+def _list_isaaclab_fields(joints: Sequence[ReducedJoint]) -> dict[str, dict[str, float]]:
+    """Return the values by joint of each field of an actuator, in the order of the file."""
+    fields: dict[str, dict[str, float]] = {
+        "stiffness": {},
+        "damping": {},
+        "effort_limit_sim": {},
+        "friction": {},
+        "dynamic_friction": {},
+        "viscous_friction": {},
+        "armature": {},
+    }
+    for joint in joints:
+        if joint.servo is not None:
+            fields["stiffness"][joint.name] = joint.servo.kp
+            fields["damping"][joint.name] = joint.servo.kd
+            if joint.servo.torque_limit is not None:
+                fields["effort_limit_sim"][joint.name] = joint.servo.torque_limit
+        fields["friction"][joint.name] = joint.frictionloss
+        fields["dynamic_friction"][joint.name] = joint.frictionloss
+        fields["viscous_friction"][joint.name] = joint.damping
+        if joint.armature is not None:
+            fields["armature"][joint.name] = joint.armature
+    return fields
 
 
 def _list_items(values: Mapping[str, float]) -> Iterator[str]:

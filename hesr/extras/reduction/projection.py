@@ -192,24 +192,31 @@ def project(dq: Array, tau: Array, weight: Weight) -> tuple[float, float]:
 def _find_moving_rows(model: FrictionModel, records: LogRecords) -> Iterator[_MovingRows]:
     """Yield the moving rows of all logs, joint by joint."""
     torques = [model.predict(log_records) for log_records in records]
-    for j in range(len(model.joints)):
+    for j, joint in enumerate(model.joints):
         joint_records = [log_records[j] for log_records in records]
-        resting_speed = find_resting_speed(joint_records)
-        is_moving = [moving(record.dq, resting_speed) for record in joint_records]
-        if not any(np.any(mask) for mask in is_moving):
-            log_names = ", ".join(record.log for record in joint_records)
-            raise ExportError(
-                f"joint '{model.joints[j]}': it stands still in {log_names}; add logs in which it "
-                "moves."
-            )
-        moving_counts = [np.count_nonzero(mask) for mask in is_moving]
-        yield _MovingRows(
-            log=np.repeat([record.log for record in joint_records], moving_counts),
-            dq=_join([record.dq for record in joint_records], is_moving),
-            tau_load=_join([record.tau_load for record in joint_records], is_moving),
-            tau=_join([record.tau for record in joint_records], is_moving),
-            tau_law=_join([torque[:, j] for torque in torques], is_moving),
+        law_torques = [torque[:, j] for torque in torques]
+        yield _select_moving_rows(joint, joint_records, law_torques)
+
+
+def _select_moving_rows(
+    joint: str, joint_records: Sequence[FrictionRecord], law_torques: Sequence[Array]
+) -> _MovingRows:
+    """Return the moving rows of one joint in all logs, with the torques (N,) of its law."""
+    resting_speed = find_resting_speed(joint_records)
+    is_moving = [moving(record.dq, resting_speed) for record in joint_records]
+    moving_counts = [np.count_nonzero(mask) for mask in is_moving]
+    if not any(moving_counts):
+        log_names = ", ".join(record.log for record in joint_records)
+        raise ExportError(
+            f"joint '{joint}': it stands still in {log_names}; add logs in which it moves."
         )
+    return _MovingRows(
+        log=np.repeat([record.log for record in joint_records], moving_counts),
+        dq=_join([record.dq for record in joint_records], is_moving),
+        tau_load=_join([record.tau_load for record in joint_records], is_moving),
+        tau=_join([record.tau for record in joint_records], is_moving),
+        tau_law=_join(law_torques, is_moving),
+    )
 
 
 def _join(columns: Sequence[Array], rows: Sequence[Mask]) -> Array:
