@@ -111,7 +111,7 @@ class _LoggedPlant:
         self._start(factors)
         joints = range(1, log.q.shape[1] + 1)
         if self.has_position_loop:
-            input_names = ("q_cmd", "dq_cmd", "tau")
+            input_names: tuple[str, ...] = ("q_cmd", "dq_cmd", "tau")
             input_rows = np.hstack([*command, -missing_torque])
         else:
             input_names = ("dq_cmd", "tau")
