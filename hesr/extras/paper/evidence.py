@@ -306,8 +306,10 @@ def select_moving_records(records: Records) -> list[list[FrictionRecord]]:
 
     At rest friction balances the load: motions of one joint at a time say nothing of the others.
     """
-    parts = zip(*records, strict=True)
-    positions = [np.stack([record.q for record in part], axis=1) for part in parts]
+    positions = []
+    for part in zip(*records, strict=True):
+        joint_positions = [record.q for record in part]
+        positions.append(np.stack(joint_positions, axis=1))
     resting_travel = find_resting_travel(positions)
     moving_records = []
     for j, joint_records in enumerate(records):

@@ -233,7 +233,9 @@ def _build_claim_table(claims: Sequence[Judged]) -> ResultTable:
 
 def _build_truth_table(claims: Sequence[Judged]) -> ResultTable:
     """Return the verdict of each claim under each true friction, and where it holds partly."""
-    names = list(dict.fromkeys(truth for judged in claims for truth in judged.truths))
+    names: dict[str, None] = {}  # in the order of the claims
+    for judged in claims:
+        names |= dict.fromkeys(judged.truths)
     rows = []
     for judged in claims:
         cells = [_format_judgement(judged.truths.get(truth)) for truth in names]
