@@ -205,7 +205,7 @@ def _compute_error(
 
 
 def _remove_mean(errors: Array) -> Array:
-    return errors - errors.mean(axis=0)
+    return np.asarray(errors - errors.mean(axis=0))
 
 
 def feed_forward(
