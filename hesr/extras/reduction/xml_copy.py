@@ -96,11 +96,7 @@ class XmlCopy:
                 continue
             tag = token["name"].decode(errors="replace")
             if token["closes"]:
-                if current is None or current.tag != tag:
-                    self.refuse(f"closes <{tag}>, which is not open")
-                current.close = token.start()
-                current.end = token.end()
-                current = current.parent
+                current = self._close_element(current, tag, token)
                 continue
             if current is None and root is not None:
                 self.refuse("has several roots")
@@ -121,6 +117,16 @@ class XmlCopy:
         if root is None or current is not None or b"<" in self._data[position:]:
             self.refuse("is not well-formed XML")
         return root
+
+    def _close_element(
+        self, element: XmlElement | None, tag: str, token: re.Match[bytes]
+    ) -> XmlElement | None:
+        """Set the end of the open element, and return the one around it."""
+        if element is None or element.tag != tag:
+            self.refuse(f"closes <{tag}>, which is not open")
+        element.close = token.start()
+        element.end = token.end()
+        return element.parent
 
     def _is_marked(self, token: re.Match[bytes]) -> bool:
         return token["comment"].removeprefix(b"<!--").strip().startswith(MARK.encode())
