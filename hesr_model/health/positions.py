@@ -114,9 +114,7 @@ def report_gaps(count: int, longest: float, parts: int, short_rows: int) -> Hypo
     """
     observation = f"{count_noun(count, 'gap')}, the longest of {longest:.3g} s"
     if short_rows:
-        observation += (
-            f", {short_rows} rows in parts shorter than {SHORTEST_PART:g} s are left out"
-        )
+        observation += f", {short_rows} rows in parts shorter than {SHORTEST_PART:g} s are left out"
     consequence = "only one of its parts is long enough to use"
     if parts > 1:
         consequence = f"its {parts} parts are filtered and fitted separately"

@@ -380,7 +380,7 @@ def _find_joints_of_tendon(mj_model: Any, tendon: int) -> set[int]:
         elif kind in (kinds.mjWRAP_SPHERE, kinds.mjWRAP_CYLINDER):
             chains.append(_find_joints_above(mj_model, mj_model.geom_bodyid[target]))
     if chains:
-        joints |= set.union(*chains) - set.intersection(*chains)
+        joints |= set[int]().union(*chains) - chains[0].intersection(*chains)
     return joints
 
 
