@@ -71,7 +71,7 @@ def test_units_are_named_and_a_converted_file_is_not_doubted(units: str, tmp_pat
 def test_sizes_without_an_explanation_have_no_units(tmp_path: Path) -> None:
     path = scale(arm(tmp_path), 1.0, 1e-6, 1e-6)
     (doubt,) = load(path).file_doubts
-    assert doubt.remedy == "check the units of lengths, masses and inertias"
+    assert doubt.remedy.startswith("check the units")
 
 
 @pytest.mark.parametrize("joints", [1, 2])
