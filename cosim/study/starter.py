@@ -40,16 +40,28 @@ _FILES = ("robot.toml", "study.toml", "README.txt")
 
 @dataclass(frozen=True, kw_only=True)
 class NewProject:
-    """A created project folder."""
+    """A created project folder.
+
+    Attributes
+    ----------
+    folder : the new folder.
+    joints : joints in the robot file, from base to tip.
+    followers : joints that follow one of these.
+    locked : positions of the other joints [rad or m].
+    doubts : findings about the model file.
+    bench : kind of a bench, or "twin", whose folder has no logs and no study; "" for a robot.
+    source : public repository of its logs.
+    is_sample : whether the robot is the sample.
+    """
 
     folder: Path
-    joints: tuple[str, ...]  # joints in the robot file
+    joints: tuple[str, ...]
     followers: tuple[str, ...] = ()
-    locked: Mapping[str, float] = field(default_factory=dict)  # positions of others [rad or m]
+    locked: Mapping[str, float] = field(default_factory=dict)
     doubts: tuple[Finding, ...] = ()
-    bench: str = ""  # kind of a bench, or "twin", whose folder has no logs and no study
-    source: str = ""  # public repository of its logs
-    is_sample: bool = False  # whether the robot is the sample
+    bench: str = ""
+    source: str = ""
+    is_sample: bool = False
 
 
 def sample_model() -> Path:

@@ -76,10 +76,16 @@ class MemoryElement:
 
 @dataclass(frozen=True, kw_only=True)
 class Relaxation(MemoryElement):
-    """x' = drive - rate x, where both may use earlier states."""
+    """x' = drive - rate x, where both may use earlier states.
+
+    Attributes
+    ----------
+    drive : in the unit of x per second.
+    rate : [1/s], may also use x, frozen over a step; a negative rate counts as 0.
+    """
 
     drive: sympy.Expr
-    rate: sympy.Expr  # may also use x, frozen over a step; a negative rate counts as 0
+    rate: sympy.Expr
 
     @property
     def parts(self) -> tuple[sympy.Expr, sympy.Expr]:
@@ -131,11 +137,18 @@ class Slow(Relaxation):
 
 @dataclass(frozen=True, kw_only=True)
 class Stop(MemoryElement):
-    """x+ = clip(x + v dt / w, -s, s), the stop operator of Prandtl and Ishlinskii."""
+    """x+ = clip(x + v dt / w, -s, s), the stop operator of Prandtl and Ishlinskii.
 
-    velocity: sympy.Expr  # v
-    deflection: sympy.Expr  # w > 0
-    bound: sympy.Expr  # s; negative values count as 0
+    Attributes
+    ----------
+    velocity : v [rad/s, m/s].
+    deflection : w > 0 [rad, m], at which a state of 1 is reached.
+    bound : s [1]; negative values count as 0.
+    """
+
+    velocity: sympy.Expr
+    deflection: sympy.Expr
+    bound: sympy.Expr
 
     @property
     def parts(self) -> tuple[sympy.Expr, sympy.Expr]:

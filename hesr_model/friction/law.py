@@ -54,7 +54,14 @@ _MAX_COEFFICIENT = 1e100  # largest allowed coefficient; a product of three stay
 
 @dataclass(frozen=True, kw_only=True)
 class Coefficient(Quantity):
-    """Constant of a law; ArtifactError without a name or unit."""
+    """Constant of a law; ArtifactError without a name or unit.
+
+    Attributes
+    ----------
+    name : letters, digits and underscores, the symbol in expressions.
+    unit : SI unit as text, such as "N.m.s/rad" or "1".
+    description : what it is, for tables and FMUs.
+    """
 
     unit: str = ""
     description: str = ""
@@ -79,8 +86,13 @@ class Coefficient(Quantity):
 class LawForm:
     """Expressions of a law, without numbers; ArtifactError for unknown or repeated symbols.
 
-    A motion that starts at `steady_speed` [rad/s, m/s] or faster starts in the
-    steady state; at rest the history is unknown. Slow joints have a lower one.
+    Attributes
+    ----------
+    coefficients : constants, in the order of tables and FMUs.
+    memory : states, each of which may use earlier ones.
+    output : friction torque [N.m] or force [N] of one joint.
+    steady_speed : a motion that starts at this speed [rad/s, m/s] or faster starts in the steady
+        state; at rest the history is unknown. Slow joints have a lower one.
     """
 
     coefficients: tuple[Coefficient, ...]
