@@ -24,7 +24,7 @@ from hesr_model.health.examine import (
     require_sound,
 )
 from hesr_model.health.joints import apply_changes
-from hesr_model.health.mistakes import SupposedRows, generate_mistakes
+from hesr_model.health.mistakes import SupposedRows, _snap_to_axis, generate_mistakes
 from hesr_model.health.proposal import (
     _estimate_constants,
     _limit_cutoff,
@@ -213,6 +213,17 @@ GRAVITY = replace(
 
 def of_gravity(value: float, error: float = 0.01) -> TorqueFit:
     return replace(GRAVITY, gravity=Estimate(value=value, error=error))
+
+
+@pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)])
+def test_a_gravity_near_an_axis_is_along_it(axis: tuple[float, ...]) -> None:
+    """Nobody mounts a robot obliquely by 8 degrees."""
+    sideways = np.roll(axis, 1)
+    for degrees, snaps in ((8.0, True), (16.0, False)):
+        angle = np.radians(degrees)
+        oblique = np.cos(angle) * np.array(axis) + np.sin(angle) * sideways
+        expected = axis if snaps else oblique
+        np.testing.assert_allclose(_snap_to_axis(oblique), expected, rtol=1e-15)
 
 
 def test_torque_constants_are_proposed_from_gravity(arm: RobotDescription) -> None:

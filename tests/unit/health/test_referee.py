@@ -1,5 +1,6 @@
 """A hypothesis is stated if it wins its trials by more than their uncertainty."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -53,6 +54,10 @@ def test_a_race_is_won_by_more_than_its_scatter() -> None:
     rival_squares = np.where(np.arange(len(ONES)) < 20, 4.0, 1.0)
     lucky = Race(rival="nothing", rival_squares=rival_squares, squares=ONES)
     assert lucky.outcome == "open"
+    error = lucky.gain.error
+    gain, uncertainty = map(int, re.findall(r"(\d+) %", lucky.doubt))
+    assert gain == round(100.0 * lucky.gain.value)
+    assert uncertainty == pytest.approx(300.0 * error, abs=0.5)
 
 
 def test_a_statistic_lies_outside_its_range_by_more_than_its_error() -> None:
