@@ -14,6 +14,7 @@ from hesr_model.fitting.estimator import select_laws
 from hesr_model.friction.model import FrictionModel
 from hesr_model.health import omissions, positions
 from hesr_model.health import torque as efforts
+from hesr_model.health.directions import doubt_one_slope
 from hesr_model.health.evidence import (
     ModelTorques,
     SmoothPart,
@@ -705,6 +706,7 @@ def _doubt_laws(
             if len(model.training_rmse):
                 yield from _doubt_error(law_name, joint, model.training_rmse[j], deviation)
             yield from _doubt_ratio(law_name, joint, model.laws[j].values)
+            yield from doubt_one_slope(law_name, model.laws[j], records[j])
 
 
 def _doubt_error(law_name: str, joint: str, error: float, deviation: float) -> Iterator[Hypothesis]:

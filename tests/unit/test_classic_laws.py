@@ -45,7 +45,7 @@ def steady(name: str, dq: float, load: float) -> float:
 
 def test_classic_laws_are_not_in_the_default_study() -> None:
     optional = [name for name, law in registry().items() if not law.everyday]
-    assert optional == ["lugre_static_first", *NAMES]
+    assert optional == ["stribeck_direction", "lugre_static_first", *NAMES]
 
 
 def _bam(model: int, v: float, load: float, alpha: int = 2) -> float:
