@@ -397,7 +397,7 @@ def test_a_joint_that_rests_is_locked(tmp_path: Path) -> None:
     proposal = inspect_logs([log], tmp_path / "bench" / "robot.toml")
     assert (proposal.description.known, proposal.description.locked) == (("a.Izz",), {"b": 0.0})
     assert not proposal.first_findings
-    assert not proposal.examination.findings
+    assert [finding.check for finding in proposal.examination.findings] == ["left-over"]
     assert identify(proposal.logs, Robot(proposal.description)).parameters.max() == 0.01
 
 

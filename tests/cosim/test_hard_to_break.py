@@ -336,7 +336,7 @@ def test_invalid_time_stamps_are_refused(refused: Refused, tmp_path: Path) -> No
     """Nanoseconds beyond the range of Python's dates, and a date as a position."""
     stamps = pyarrow.array(np.arange(500) + 1, pyarrow.timestamp("ns", tz="Nowhere/Never"))
     log = tmp_path / "log.parquet"
-    for changed in ({"q1": stamps}, {"q1": pyarrow.array([[1.0]] * 500)}):
+    for changed in ({"q1": stamps}, {"q1": pyarrow.array([{"a": 1.0}] * 500)}):
         pyarrow.parquet.write_table(pyarrow.table(columns(**changed)), log)
         assert "column 'q1'" in refused(*identify(log, robot_file(tmp_path)))
     pyarrow.parquet.write_table(pyarrow.table(columns(q1=stamps)), log)
