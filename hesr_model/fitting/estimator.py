@@ -37,7 +37,6 @@ class Estimator(ABC):
     proposed : True to include it in proposed studies.
     from_commands : True to choose among it for logs without torque; by `order`
         from few coefficients to many.
-    by_direction : whether friction may rise differently with the speed in both directions.
     paper : position among the laws of the paper, from 1; 0 for others.
     adds : law that it extends and part that it adds, for the ablation table.
     """
@@ -53,7 +52,7 @@ class Estimator(ABC):
     quick: ClassVar[bool] = False
     proposed: ClassVar[bool] = False
     from_commands: ClassVar[bool] = False
-    by_direction: ClassVar[bool] = False
+    by_direction: ClassVar[bool] = False  # whether it has a slope for each direction
     paper: ClassVar[int] = 0
     adds: ClassVar[tuple[str, str] | None] = None
 

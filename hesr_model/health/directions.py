@@ -41,9 +41,10 @@ def doubt_one_slope(
     if not (np.any(speed > 0.0) and np.any(speed < 0.0)):
         return
     rows = LeftOutRows.split([record.log for record in joint_records], times)
-    constant = np.ones((len(error), 1))
-    columns = np.column_stack([constant, np.abs(speed)])
-    slope = float(np.linalg.lstsq(columns, error)[0][1])
+    # What every law has: an offset, a level and a slope, which the fit may have missed.
+    usual_columns = np.column_stack([np.ones_like(speed), np.sign(speed), speed])
+    columns = np.column_stack([usual_columns, np.abs(speed)])
+    slope = float(np.linalg.lstsq(columns, error)[0][-1])
     unit = unit_of_joint("N.m.s/rad", is_prismatic=joint_records[0].sliding)
     direction = "positive" if slope > 0.0 else "negative"
     remedy = "no law that is installed has a slope for each direction"
@@ -62,7 +63,7 @@ def doubt_one_slope(
         trials=(
             Race(
                 rival="one slope for both directions",
-                rival_squares=rows.predict(constant, error) ** 2,
+                rival_squares=rows.predict(usual_columns, error) ** 2,
                 squares=rows.predict(columns, error) ** 2,
             ),
         ),

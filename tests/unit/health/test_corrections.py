@@ -11,6 +11,8 @@ from planted_mistakes import MISTAKES, from_columns, to_columns
 from sound_benches import BENCHES
 
 from hesr_model.findings import Finding
+from hesr_model.fitting.estimator import registry
+from hesr_model.friction.law import FrictionLaw
 from hesr_model.health.evidence import TorqueFit
 from hesr_model.health.examine import (
     HealthError,
@@ -337,7 +339,12 @@ def test_an_odd_law_is_reported(rmse: float, ratio: float, checks: list[str]) ->
     record = FrictionRecord(
         log="run", joint="a", t=t, dq=dq, q=q, tau_load=tau, tau=tau, gear_ratio=None
     )
-    law = SimpleNamespace(values={"F_c": 2.0, "F_s": 2.0 * ratio})
+    numbers = {"sigma_0": 1e4, "sigma_1": 10.0, "v_s": 0.1, "sigma_2": 0.0, "tau_0": 0.0}
+    law = FrictionLaw(
+        name="lugre",
+        form=registry()["lugre"].form({}),
+        values={**numbers, "F_c": 2.0, "F_s": 2.0 * ratio},
+    )
     model = SimpleNamespace(joints=("a",), training_rmse=[rmse], laws=[law])
     assert [f.check for f in check_laws({"lugre": model}, [[record]])] == checks
 

@@ -310,8 +310,10 @@ def test_a_remedy_is_offered_only_where_it_helps(
     again = examine(
         [Log.read(path, found.description)], found.description, Robot(found.description)
     ).findings
-    assert {f.check for f in again} == {f.check for f in found.examination.findings}
-    for finding in found.examination.findings:
+    # A column that a correction no longer uses is left over, without a remedy to try.
+    findings = [f for f in found.examination.findings if f.check != "left-over"]
+    assert {f.check for f in again} == {f.check for f in findings}
+    for finding in findings:
         assert set(first) & {(finding.check, joint) for joint in finding.joints or ("",)}
         offered = "; set " in finding.remedy
         assert offered == (what in REMAINS)
