@@ -233,34 +233,55 @@ def _find_table(
             cells = _split_cells(line, delimiter)
             if names and _has_length(cells, len(names)) and not _is_count(cells):
                 return 0, number, delimiter
-            lines_above = [
-                (k, text.lstrip(_COMMENT_MARKS + " ")) for k, text in reversed(lines[:index])
-            ]
-            fitting_lines = [
-                (k, text)
-                for k, text in lines_above
-                if _has_length(cells, _count_cells(text, delimiter))
-            ]
-            if len(fitting_lines) > 1 and _is_unit_row(fitting_lines[0][1], delimiter):
-                fitting_lines.pop(0)
-            if fitting_lines and not names and not _is_row(fitting_lines[0][1], delimiter):
-                return fitting_lines[0][0], number, delimiter
-            title_length = 1
-            if index > 0 and lines[index - 1][1][0] not in _COMMENT_MARKS:
-                title_length = _count_cells(lines[index - 1][1], delimiter)
-            headerless_rows.append((title_length, cells))
+            if not names:
+                header_number = _find_header(lines[:index], cells, delimiter)
+                if header_number is not None:
+                    return header_number, number, delimiter
+            headerless_rows.append((_measure_title(lines[:index], delimiter), cells))
         if len(headerless_rows) >= _MIN_HEADERLESS_ROWS:
             break
     if headerless_rows and (names or headerless_rows[0][0] == 1):
         raise _build_headerless_error(path, headerless_rows[0][1], names)
-    # Without a row of numbers, the first line is the header.
+    return _choose_first_line(lines)
+
+
+def _find_header(
+    lines_above: Sequence[tuple[int, str]], cells: Sequence[str], delimiter: str
+) -> int | None:
+    """Return the number of the line that names the cells of a row; None without one."""
+    fitting_lines = []
+    for number, text in reversed(lines_above):
+        plain_text = text.lstrip(_COMMENT_MARKS + " ")
+        if _has_length(cells, _count_cells(plain_text, delimiter)):
+            fitting_lines.append((number, plain_text))
+    if len(fitting_lines) > 1 and _is_unit_row(fitting_lines[0][1], delimiter):
+        fitting_lines.pop(0)
+    if not fitting_lines or _is_row(fitting_lines[0][1], delimiter):
+        return None
+    return fitting_lines[0][0]
+
+
+def _measure_title(lines_above: Sequence[tuple[int, str]], delimiter: str) -> int:
+    """Return the number of cells of the line above a row; 1 for a comment, or without one."""
+    if not lines_above:
+        return 1
+    title = lines_above[-1][1]
+    if title[0] in _COMMENT_MARKS:
+        return 1
+    return _count_cells(title, delimiter)
+
+
+def _choose_first_line(lines: Sequence[tuple[int, str]]) -> tuple[int, int, str]:
+    """Take the first line for the header, as there is no row of numbers."""
     (number, header), (_, first_row) = [*lines[:2], (1, ""), (2, "")][:2]
     header = header.lstrip(_COMMENT_MARKS + " ")
     used_delimiters = [d for d in _DELIMITERS if d in header] or [","]
     # Names may contain other delimiters.
     matching_delimiters = [
         d for d in used_delimiters if _count_cells(header, d) == _count_cells(first_row, d)
-    ] or used_delimiters[:1]
+    ]
+    if not matching_delimiters:
+        matching_delimiters = used_delimiters[:1]
     return number, number + 1, max(matching_delimiters, key=lambda d: _count_cells(header, d))
 
 

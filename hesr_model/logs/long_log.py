@@ -93,36 +93,19 @@ class LongLog:
         self._description = description
         self._rows = max_rows
         self._sha256 = ""
-        if isinstance(source, Path):
-            first_piece = None
-            if not description.log.needs_all_rows:
-                first_piece = next(read_sample_pieces(source, description, max_rows), None)
-            self._sha256 = sha256(source)
-            if first_piece is None:
-                source = Log.read(source, description)
-        self._source = source
+        self._source = self._open(source)
         self._time = ""
-        self._state = _read_state(source)
+        self._state = _read_state(self._source)
         self.checked_pieces: list[Log] = []
         self.travel: Array = np.empty(0)
         self._left_out = Counter[str]()
-        parts = self._split(self._survey_pieces(), np.inf)
-        robot_log.require_rows(self._where, parts[0].last if parts else 0, self._left_out)
-        (whole_part,) = parts
+        whole_part = self._survey()
         longest = whole_part.steps.longest
-        if isinstance(source, Path):
-            location = f"{self._where}: {self._time}"
-            robot_log.require_rate(
-                location, whole_part.steps.period, whole_part.steps.mean(longest), description
-            )
+        parts = [whole_part]
         if whole_part.steps.values[-1] > longest:
             parts = self._split(self._read_pieces(), longest)
-            logs_by_piece = (log.split(longest) for log in self.checked_pieces)
-            self.checked_pieces = [max(logs, key=lambda log: len(log.t)) for logs in logs_by_piece]
-        self.checked_pieces = [replace(log, dropped=0, left_out={}) for log in self.checked_pieces]
-        self.checked_pieces[0] = replace(
-            self.checked_pieces[0], dropped=self._left_out.total(), left_out=dict(self._left_out)
-        )
+            self._keep_longest_parts(longest)
+        self._note_left_out_rows()
         self.gaps = len(parts) - 1
         self.longest_step = float(whole_part.steps.values[-1])
         shortest = robot_log.SHORTEST_PART
@@ -130,12 +113,49 @@ class LongLog:
             part for part in parts if part is whole_part or part.end - part.start >= shortest
         ]
         if not self._parts:
-            raise robot_log.no_parts_error(self._where, len(parts) - 1, longest)
+            raise robot_log.no_parts_error(self._where, self.gaps, longest)
         used_rows = sum(part.last - part.first for part in self._parts)
         self.short_rows = sum(part.last - part.first for part in parts) - used_rows
         for part in self._parts:
             cutoff = description.log.filter_cutoff
             part.grid.require_filter(self._where, part.last - part.first, cutoff)
+
+    def _open(self, source: Log | Path) -> Log | Path:
+        """Return the source, read as a whole if its format has no pieces."""
+        if not isinstance(source, Path):
+            return source
+        first_piece = None
+        if not self._description.log.needs_all_rows:
+            first_piece = next(read_sample_pieces(source, self._description, self._rows), None)
+        self._sha256 = sha256(source)
+        if first_piece is None:
+            return Log.read(source, self._description)
+        return source
+
+    def _survey(self) -> _Part:
+        """Return the rows of the whole log, as one part; raise LogError for a wrong rate."""
+        parts = self._split(self._survey_pieces(), np.inf)
+        row_count = parts[0].last if parts else 0
+        robot_log.require_rows(self._where, row_count, self._left_out)
+        (whole_part,) = parts
+        if isinstance(self._source, Path):
+            steps = whole_part.steps
+            location = f"{self._where}: {self._time}"
+            mean_period = steps.mean(steps.longest)
+            robot_log.require_rate(location, steps.period, mean_period, self._description)
+        return whole_part
+
+    def _keep_longest_parts(self, longest: float) -> None:
+        """Keep of each piece to check the longest part between gaps, of more than `longest` [s]."""
+        for k, piece in enumerate(self.checked_pieces):
+            self.checked_pieces[k] = max(piece.split(longest), key=lambda part: len(part.t))
+
+    def _note_left_out_rows(self) -> None:
+        """State the rows that were left out with the first piece to check, once for all pieces."""
+        pieces = [replace(piece, dropped=0, left_out={}) for piece in self.checked_pieces]
+        left_out = dict(self._left_out)
+        pieces[0] = replace(pieces[0], dropped=self._left_out.total(), left_out=left_out)
+        self.checked_pieces = pieces
 
     @property
     def _where(self) -> str:
