@@ -125,9 +125,10 @@ class Ledger:
                 homes = {other: used[other] for other in used if other != kind}
             place = f"<{kind}>"
             reasons = irrelevant.get(kind, {})
-            self.compare(place, attributes, used[kind], homes, irrelevant=reasons)
+            used_names = tuple(used.get(kind, ()))  # the root may be of another format
+            self.compare(place, attributes, used_names, homes, irrelevant=reasons)
             self.compare(
-                place, children.values(), used[kind], homes, may_repeat=True, irrelevant=reasons
+                place, children.values(), used_names, homes, may_repeat=True, irrelevant=reasons
             )
             stack += [child for child, name in children.items() if name in used]
 

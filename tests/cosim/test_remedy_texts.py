@@ -27,6 +27,9 @@ ELSEWHERE = {
     "log.bag.": "unit/test_log_bag.py::test_keys_that_refusals_print_make_them_go_away",
     " --measured {}": "cosim/test_remedies_of_answers.py::test_what_an_answer_prints_is_executed",
     "--platform {}": "cosim/test_remedies_of_answers.py::test_what_an_answer_prints_is_executed",
+    "a divisor of all steps": "cosim/package/test_ssp_spellings.py::test_printed_times_work",
+    "for another end": "cosim/package/test_ssp_spellings.py::test_printed_times_work",
+    "[log] missing = 'interpolate'": "unit/test_logs_of_other_tools.py::test_a_printed_line_joins",
     "--only {} -o": "cosim/test_remedies_of_answers.py::test_what_an_answer_prints_is_executed",
 }
 """Words of remedies that another test executes."""

@@ -4,6 +4,7 @@ Each case failed, was refused without a reason, or lost rows before it was in th
 """
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import pytest
 from containing import Containing, OneSentence
 
 from hesr_model.errors import LogError
+from hesr_model.health.joints import apply_changes
 from hesr_model.health.proposal import Proposal, inspect_logs
 from hesr_model.logs.robot_log import Log
 
@@ -159,6 +161,20 @@ def test_cells_of_two_topics_are_joined(tmp_path: Path) -> None:
     assert not np.any((log.t > 2.005) & (log.t < 2.995))
     (finding,) = [f for f in proposal.first_findings if f.check == "dropped-rows"]
     assert finding.found == Containing(" rows lack a number of q and dq")
+
+
+def test_a_printed_line_joins(tmp_path: Path) -> None:
+    lines = []
+    for t, q, dq, tau in VALUES:
+        lines += [f"{t:.6f},{q:.6f},{dq:.6f},", f"{t + 0.004:.6f},,,{tau:.6f}"]
+    log = tmp_path / "run.csv"
+    proposed = inspect(log, join_lines(lines)).description
+    robot = apply_changes(proposed, {"log.missing": "refuse"})
+    with pytest.raises(LogError) as caught:
+        Log.read(log, robot)
+    ((key, value),) = re.findall(r"\[log\] (\w+) = '(\w+)'", str(caught.value))
+    joined = Log.read(log, apply_changes(robot, {f"log.{key}": value}))
+    assert len(joined.t) > 0.9 * len(VALUES)
 
 
 # Files with the sentence that names what they hold.

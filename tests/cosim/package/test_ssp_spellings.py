@@ -155,6 +155,25 @@ def test_systems_of_several_steps_run(
     assert hesr("check", write(*set_steps(base, hint)), "--fail-on", "warning").code == 0
 
 
+@pytest.mark.parametrize(
+    ("base", "hint", "key", "value"),
+    [
+        ("0.1", "0.25", "step", "0.05"),
+        ("0.3", "0", "step", "0.25"),
+        ("0.3", "0", "stop", "0.9"),
+    ],
+)
+def test_printed_times_work(
+    base: str, hint: str, key: str, value: str, write: Write, hesr: Hesr, tmp_path: Path
+) -> None:
+    """Each is the value that the warning describes."""
+    system = write(*set_steps(base, hint))
+    warning = hesr("simulate", system, "-o", tmp_path / "x.csv").err
+    assert key in re.findall(r"'(stop|step)'", warning.partition(": give ")[2])
+    answer = hesr("simulate", system, f"--{key}", value, "-o", tmp_path / "y.csv")
+    assert (answer.code, answer.err) == (0, "")
+
+
 NO_FMU = ((SSD[SSD.index("<ssd:Elements>") : SSD.index("</ssd:System>")], ""),)
 REFUSALS: dict[str, tuple[tuple[tuple[str, str], ...], str]] = {
     "no FMU": (NO_FMU, "SystemStructure.ssd contains no FMU"),
