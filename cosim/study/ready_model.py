@@ -54,6 +54,7 @@ def build_ready_model(path: Path, progress: Stages) -> ReadyModel:
     job = Job(study=study, path=path, progress=progress)
     robot = Robot(job.robot)
     files = job.log_files(path.parent)
+    log_files = sorted(set(files.values()))
     logs = {name: job.read(name, file) for name, file in files.items()}
     training = tuple(logs[name] for name in study.logs.training)
     tests = tuple(log for name, log in logs.items() if name not in job.trained_on)
@@ -67,12 +68,12 @@ def build_ready_model(path: Path, progress: Stages) -> ReadyModel:
             identifies_body=True,
             laws=job.laws,
             seed=study.seed,
-            provenance=provenance(files=[*set(files.values()), study.robot], seed=study.seed),
+            provenance=provenance(files=[*log_files, study.robot], seed=study.seed),
             progress=progress,
         )
         return _pack(model, body)
 
-    sources = [path, study.robot, job.robot.model, *sorted(set(files.values()))]
+    sources = [path, study.robot, job.robot.model, *log_files]
     model, body = _unpack(compute_once("ready", _list_content(sources), make))
     return ReadyModel(model=model, body=body, robot=study.robot, training=training, tests=tests)
 
