@@ -20,7 +20,8 @@ def doubt_one_slope(
 ) -> Iterator[Hypothesis]:
     """Doubt a law whose errors rise with the speed, with one sign in both directions.
 
-    Friction is odd in the velocity: such errors are even, so one slope holds for each direction.
+    Laws are odd in the velocity: where each direction has a slope of its own, they leave errors
+    that are even.
 
     Parameters
     ----------

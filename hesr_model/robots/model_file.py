@@ -96,6 +96,11 @@ class RobotModelFile:
         """Return the joints that follow some of those given."""
         return {name for name, (leader, _, _) in self.followers.items() if leader in joints}
 
+    def is_in_loop(self, name: str) -> bool:
+        """Return whether a joint, or one that follows it, has no torque of its own."""
+        joints = {name, *self.find_followers([name])}
+        return any(not loop.isdisjoint(joints) for loop in self.loops.values())
+
     def _doubt_loops(self, moving_names: Collection[str]) -> Iterator[Finding]:
         """Yield a finding for each loop, whose joints rest while others move."""
         for cause, loop_joints in self.loops.items():
@@ -216,16 +221,11 @@ class RobotModelFile:
 
     def _require_determined(self, joints: Sequence[str], moving_names: Collection[str]) -> None:
         """Raise RobotError if joints that move, or their followers, belong to a loop."""
-        loop_joints = frozenset[str]().union(*self.loops.values())
         for cause, loop in self.loops.items():
             undetermined_names = sorted(loop.intersection(moving_names))
             if not undetermined_names:
                 continue
-            arm = [
-                name
-                for name in joints
-                if loop_joints.isdisjoint({name, *self.find_followers([name])})
-            ]
+            arm = [name for name in joints if not self.is_in_loop(name)]
             remedy = "remove the equality"
             if arm:
                 remedy = f"take only joints {', '.join(arm)}"
@@ -508,7 +508,6 @@ def read_joints(path: Path) -> tuple[ModelJoint, ...]:
     file = load(path)
     pin_model = file.pin_model
     parents = list(pin_model.parents)
-    loop_joints = frozenset[str]().union(*file.loops.values())
     joints = []
     for number, name in enumerate(pin_model.names):
         if number == 0:
@@ -525,7 +524,7 @@ def read_joints(path: Path) -> tuple[ModelJoint, ...]:
             freedom=freedom,
             slides=slides,
             finger=is_short or bool(_FINGER_NAME.search(name)),
-            in_loop=not loop_joints.isdisjoint({name, *file.find_followers([name])}),
+            in_loop=file.is_in_loop(name),
             rest_position=min(max(file.rest_positions.get(name, 0.0), lower), upper),
             parent=pin_model.names[parents[number]],
         )
