@@ -18,9 +18,11 @@ import shutil
 import signal
 import subprocess
 import sys
+import sysconfig
 import tempfile
 import time
 import tomllib
+import venv
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -96,13 +98,30 @@ class _Starts:
         os.pwrite(self._file, nodeid.encode(), 0)
 
 
+def make_environment(root: Path) -> None:
+    """Make an environment that imports the product from `root` and the packages from here.
+
+    Isolated processes import the product from their environment, whatever `PYTHONPATH` says.
+    """
+    folder = root / ".venv"
+    venv.create(folder, with_pip=False)
+    packages = sysconfig.get_path("purelib")
+    lines = f"{root}\nimport site; site.addsitedir({packages!r})\n"
+    inner = sysconfig.get_path("purelib", vars={"base": str(folder)})
+    Path(inner, "a_tree.pth").write_text(lines, encoding="utf-8")
+
+
 def _run_tests(root: Path, options: Sequence[str], output: int, started: int) -> None:
     """Run in a process group, which can be ended as a whole."""
     os.setsid()
+    sys.executable = str(root / ".venv/bin/python")
     os.dup2(output, 1)
     os.dup2(output, 2)
     os.chdir(root)
-    os.environ |= {"PYTHONPATH": str(root), "COLUMNS": "200"}
+    # What a fault left in the cache would judge the next one.
+    cache = root / ".cache-of-faults"
+    shutil.rmtree(cache, ignore_errors=True)
+    os.environ |= {"PYTHONPATH": str(root), "COLUMNS": "200", "XDG_CACHE_HOME": str(cache)}
     sys.path[:1] = [str(root)]
     always = ["-xq", "-p", "no:cacheprovider", "--hypothesis-profile=ci"]
     code = pytest.main([*always, *options], plugins=[_Starts(started)])
@@ -122,6 +141,7 @@ class Tree:
 
     def __init__(self, folder: Path, *, selections: dict[str, str]) -> None:
         self.root = copied(folder)
+        make_environment(self.root)
         self._selections = selections
         self._can: dict[tuple[str, bool], bool] = {}  # tests that failed, or had no end
 
