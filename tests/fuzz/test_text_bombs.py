@@ -143,8 +143,8 @@ def list_texts(content: str, suffix: str, secret: Path) -> Iterator[tuple[str, s
             yield f"{name}, within", f"{head}{mark}{document_type}{first}{quote}&a11;{others}"
 
 
-GATE = ("robot", "friction model", "urdf")
-"""Kinds of files that are tried in every gate: one for each parser but MuJoCo's slow one."""
+GATE = ("robot", "friction model", "urdf", "mjcf")
+"""Kinds of files that are tried in every gate: one for each parser."""
 
 TEXTS = [
     pytest.param(name, marks=() if name in GATE else pytest.mark.nightly("hostile"))
