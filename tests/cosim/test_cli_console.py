@@ -12,6 +12,8 @@ import pytest
 from containing import OneSentence
 from small_study import Hesr, Run, hesr_here, hesr_in_a_process, uf850, write_study
 
+from cosim.study.steps import checkpoint_folder
+from cosim.workflow.run import _describe_checkpoints
 from hesr_model.fitting.estimator import registry, select_laws
 
 ROBOT = uf850("robot.toml")
@@ -253,3 +255,15 @@ def test_a_closed_pipe_is_not_an_error() -> None:
     assert "Traceback" not in process.stderr.read()
     process.stderr.close()
     assert process.wait() == 1
+
+
+def test_an_interrupted_run_counts_what_the_next_one_reuses(tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    assert _describe_checkpoints(results) == ""
+    kept = checkpoint_folder(results)
+    (kept / "laws").mkdir(parents=True)
+    for name in ("laws/a.json", "laws/b.json", "row.json"):
+        (kept / name).write_text("{}", encoding="utf-8")
+    said = _describe_checkpoints(results)
+    assert said.startswith("2 laws of joints, 1 finished rows")
+    assert said.endswith(str(kept))
