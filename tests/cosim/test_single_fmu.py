@@ -19,7 +19,7 @@ from fmu_src.export.toolchain import TARGETS, build
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.instance import _Fmi3
 from fmu_src.run.trust import remember
-from hesr_model.errors import ConfigError, SimulationError
+from hesr_model.errors import ArgumentError, ConfigError, SimulationError
 
 
 @pytest.fixture(scope="session")
@@ -405,6 +405,23 @@ def test_wrong_options_are_refused(
         options = {"input": tmp_path / "in.csv"}
     with pytest.raises((ConfigError, SimulationError), match=re.escape(sentence)):
         hesr.simulate(lag_fmu, **options)
+
+
+@pytest.mark.parametrize(
+    ("options", "owner"),
+    [
+        ({"input": "in.csv"}, "'input' is for an FMU, not"),
+        ({"stop": 1.0}, "'stop' is for an FMU or SSP, not"),
+        ({"set": ["u=1"]}, "'set' is for an FMU or SSP, not"),
+    ],
+)
+def test_a_system_file_refuses_options_of_others(
+    options: dict[str, Any], owner: str, tmp_path: Path
+) -> None:
+    system = tmp_path / "system.toml"
+    system.write_text('name = "none"\n', encoding="utf-8")
+    with pytest.raises(ArgumentError, match=owner):
+        hesr.simulate(system, **options)
 
 
 def test_failures_are_reported_by_one_sentence(lag_fmu: Path) -> None:
