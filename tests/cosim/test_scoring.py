@@ -12,6 +12,7 @@ from cosim.report.tables.terminal import TerminalTable
 from cosim.study.scores import (
     MEASURES,
     Comparison,
+    _is_classic,
     compare,
     input_classes,
     name_inputs,
@@ -22,7 +23,7 @@ from fmu_src import export_fmu
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.friction.predictions import predict_fmu, predict_model
 from hesr_model.errors import ArtifactError, ConfigError, SimulationError
-from hesr_model.fitting.estimator import estimator
+from hesr_model.fitting.estimator import estimator, select_laws
 from hesr_model.friction.band import Band
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
@@ -243,6 +244,28 @@ def test_each_class_of_inputs_has_its_strongest_classic_law_as_reference(
     assert found == pytest.approx(rmses[0] / rmses[1], rel=1e-12)
     text = shown(TerminalTable(errors("unseen", scores, inputs=inputs)))
     assert "the strongest classic law" in " ".join(text.split())
+
+
+def test_a_row_of_all_classic_laws_is_classic() -> None:
+    everything = select_laws("classic")
+    assert len(everything) > 1
+    laws = tuple(
+        FrictionLaw(
+            name=law_name,
+            form=estimator(law_name).form({}),
+            values={c.name: 1.0 for c in estimator(law_name).form({}).coefficients},
+        )
+        for law_name in (*everything, "stribeck_direction")
+    )
+    names = tuple(f"j{j}" for j in range(len(laws)))
+    mixed = FrictionModel(
+        law="mixed", robot="r", joints=names[:-1], laws=laws[:-1], sample_time=0.01
+    )
+    other = replace(mixed, joints=names, laws=laws)
+    models = {"mixed": mixed, "other": other}
+    assert _is_classic("mixed", models)
+    assert not _is_classic("other", models)
+    assert _is_classic(everything[0], {})
 
 
 def test_p_values_are_adjusted_for_all_comparisons_of_a_table() -> None:

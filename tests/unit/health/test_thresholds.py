@@ -106,6 +106,20 @@ def moving_while_stuck(speed: float) -> Log:
     return replace(log, dq=np.full_like(log.q, speed))
 
 
+def held(rows: float) -> Log:
+    """Positions held for two or five rows in turn, and once for some rows, while it moves."""
+    log = two_joints()
+    lengths = [2, 5] * 60 + [int(rows)] + [2, 5] * 80
+    places = np.repeat(np.arange(len(lengths)), lengths)[: len(log.t)]
+    moving = np.ones_like(log.t)
+    resting = np.zeros_like(log.t)
+    return replace(
+        log,
+        q=np.column_stack([0.01 * places, resting]),
+        dq=np.column_stack([0.3 * moving, resting]),
+    )
+
+
 def noisy(size: float) -> np.ndarray:
     return V + size * np.random.default_rng(3).normal(size=V.shape)
 
@@ -150,6 +164,9 @@ LOGS: dict[str, tuple[str, Spoil, float, float]] = {
     ),
     "rows without a new position": (
         "stuck", lambda x: check_raw_signals(still(int(x), period=0.05), TWO), 13, 17,
+    ),
+    "rows held longer than the usual ones": (
+        "stuck", lambda x: check_raw_signals(held(x), TWO), 39, 43,
     ),
     "speed at a constant position": (
         "stuck", lambda x: check_raw_signals(moving_while_stuck(x), TWO), 0.04, 0.06,
