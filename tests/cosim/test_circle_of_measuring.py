@@ -87,7 +87,7 @@ def test_the_circle_closes_without_an_edit(
 
 
 def test_a_twin_has_no_other_robot(tmp_path: Path) -> None:
-    with pytest.raises(ArgumentError, match="'twin' excludes 'robot' and 'bench'"):
+    with pytest.raises(ArgumentError, match="'twin' excludes 'robot'; it"):
         hesr.new(tmp_path / "twin", "arm.urdf", twin=True)
     made = hesr.new(tmp_path / "twin", twin=True)
     names = {file.name for file in made.folder.iterdir()}

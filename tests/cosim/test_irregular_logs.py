@@ -73,7 +73,8 @@ def test_twenty_irregular_logs_of_the_twin_are_sound(
         path = tmp_path / f"{log.name}{seed}.csv"
         log.write(path)
         found = inspect_logs([path], models_folder() / "uf850" / "robot.toml")
-        said = [f.sentence for f in found.examination.findings if f.check != "gaps"]
+        known = ("gaps", "left-over")  # the twin's friction is damping of its actuators
+        said = [f.sentence for f in found.examination.findings if f.check not in known]
         assert said == [], (log.name, seed)
         steps = np.diff(log.t)
         assert len(found.logs[0].gaps) == np.sum(steps > 10.0 * np.median(steps))

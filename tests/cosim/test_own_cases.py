@@ -245,7 +245,11 @@ def test_a_log_is_inspected_without_a_finding_and_fitted(
         options = ("--robot", robot)
     answer = hesr("inspect", given.log, *options, "--write", robot)
     assert (answer.code, answer.err) == (0, "")
-    assert answer.out.startswith("Nothing wrong or unusual was found.\n"), answer.out
+    advice, sound, _ = answer.out.partition("Nothing wrong or unusual was found.\n")
+    assert sound, answer.out
+    # Velocities in degrees, which is the unit of an angle, are not taken for either.
+    assert [line for line in advice.splitlines() if not line.endswith("[left-over]")] == []
+    assert bool(advice) == (kind == "mixed names")
     law = api.fit(given.log, robot=robot, law="stribeck")
     t, dq = np.arange(100) / RATE, np.linspace(0.1, 1.0, 6)
     for speed in (*dq, *-dq):
