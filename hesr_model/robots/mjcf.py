@@ -100,9 +100,7 @@ def compile_robot(path: Path) -> Compiled:
     """Return an MJCF without its appearance; RobotError if MuJoCo cannot compile it."""
     try:
         source = MjcfSource.read(path)
-        compiled_tree = _describe_once(
-            _list_content(source), "file", str(path), [path.parent, *source.files]
-        )
+        compiled_tree = _describe_once(_list_content(source), "file", str(path), source.readable)
     except ConfigError as error:
         raise RobotError(str(error)) from error
     if "refusal" in compiled_tree:
@@ -290,9 +288,8 @@ def copy_model(path: Path, folder: Path) -> None:
     """
     source = MjcfSource.read(path)
     data = source.data
-    readable = [path.parent, *source.files]
     mesh_names = set(
-        map(str, _run_in_child(str(path), "list_shape_meshes", "file", str(path), readable))
+        map(str, _run_in_child(str(path), "list_shape_meshes", "file", str(path), source.readable))
     )
     if mesh_names:
         _copy_meshes(source, mesh_names, folder)

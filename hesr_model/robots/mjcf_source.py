@@ -137,6 +137,11 @@ class MjcfSource:
             _models=tuple(models.values()),
         )
 
+    @property
+    def readable(self) -> list[Path]:
+        """The folder of the file, and all that the file names in it or elsewhere."""
+        return [self.path.parent, *self._texts, *self.files]
+
     def find_files(self) -> Iterator[tuple[Element, str, Path]]:
         """Yield elements of `parse` that name files, attributes and files, without other models."""
         yield from self._main.find_files()

@@ -265,13 +265,17 @@ def test_appearance_may_be_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert [file.name for file in tmp_path.iterdir()] == ["arm.xml"]
 
 
-def test_an_included_file_counts(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["tip.xml", "../parts/tip.xml"])
+def test_an_included_file_counts(name: str, tmp_path: Path) -> None:
     """Also for the cache of compiled files."""
-    tip = tmp_path / "tip.xml"
+    folder = tmp_path / "arm"
+    tip = folder / name
+    for place in (folder, tip.parent):
+        place.mkdir(exist_ok=True)
     path = mjcf(
-        tmp_path,
+        folder,
         arm("a", "", 'axis="0 1 0"').replace(
-            "</body></body>", '<include file="tip.xml"/></body></body>'
+            "</body></body>", f'<include file="{name}"/></body></body>'
         ),
     )
     masses = []
