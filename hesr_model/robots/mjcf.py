@@ -331,7 +331,7 @@ def _describe_forces(path: Path, description: Compiled) -> dict[str, Any]:
         at_tendons = ~np.isin(mj_model.actuator_trntype, joint_kinds)
         compute = partial(_compute_inverse, check=check)
         forces = measure_forces(mj_model, compute, own_torques, at_tendons)
-    except (ValueError, RuntimeError, KeyError) as error:
+    except (ValueError, RuntimeError, KeyError, RobotError) as error:
         return {"unknown_forces": on_one_line(error)}
     return {
         "couplings": couplings,
@@ -424,7 +424,7 @@ def _strip_mjcf(path: Path, *, keep_forces: bool = False) -> Any:
         site.material = ""
     for geom in spec.geoms:
         geom.material = ""
-        if geom.parent.name not in bodies and not (keep_forces and _has_no_file(geom)):
+        if geom.parent.name not in bodies and not (keep_forces and _may_have_force(spec, geom)):
             spec.delete(geom)
         elif geom.meshname:
             meshes.add(geom.meshname)
@@ -462,7 +462,8 @@ def _get_joint_transmissions() -> tuple[Any, Any]:
     return (kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT)
 
 
-def _has_no_file(geom: Any) -> bool:
+def _may_have_force(spec: Any, geom: Any) -> bool:
+    """Return whether a tendon may wrap around a geom, or a fluid flow around its ellipsoid."""
     kinds = import_engine().mjtGeom
     return geom.type not in (kinds.mjGEOM_MESH, kinds.mjGEOM_HFIELD, kinds.mjGEOM_SDF)
 
@@ -472,6 +473,8 @@ def _find_shaped_bodies(spec: Any) -> set[str]:
     has_total_mass = spec.compiler.settotalmass > 0.0
     kinds = import_engine().mjtInertiaFromGeom
     moving_bodies: set[str] = set()
+    if geom.fluid_ellipsoid and (spec.option.density or spec.option.viscosity):
+        return True
     for number, body in enumerate(spec.bodies[1:], start=1):
         body.name = body.name or f"body{number}"
         if body.parent.name in moving_bodies or list(body.joints) or has_total_mass:

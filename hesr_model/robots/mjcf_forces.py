@@ -64,7 +64,7 @@ def measure_forces(
     worths[OTHERS] = np.abs(own_torques - compute(mj_model)).max(axis=0)
     largest = max(np.abs(torques).max(initial=0.0), np.abs(own_torques).max(initial=0.0))
     return {
-        force: worth.tolist()
+        force: np.where(worth > _DIGITS * largest, worth, 0.0).tolist()
         for force, worth in worths.items()
         if worth.max(initial=0.0) > _DIGITS * largest
     }

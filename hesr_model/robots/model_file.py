@@ -122,18 +122,22 @@ class RobotModelFile:
             )
         for force, worths in self.forces.items():
             joints = [name for name in worths if name in moving_names and worths[name] > 0.0]
-            if force == SPRINGS or not joints:
+            if force == SPRINGS:
+                # Terms of the robot file describe the springs of joints that lead.
+                joints = [name for name in joints if name in self.followers]
+            if not joints:
                 continue
             shares = {name: worths[name] / max(self.torques[name], _TINY) for name in joints}
             worst = max(shares, key=shares.__getitem__)
+            sizes = ", ".join(f"{worths[name]:.3g}" for name in joints)
             yield Finding(
                 check="left-over",
                 severity=_judge_force(force, shares[worst]),
                 where=str(self.path),
                 joints=tuple(joints),
                 found=(
-                    f"its torque leaves out {force}, worth up to {worths[worst]:.3g} N.m (N if it "
-                    f"slides) of {self.torques[worst]:.3g} on '{worst}'"
+                    f"its torque leaves out {force}, worth up to {sizes} N.m (N if it slides) in "
+                    f"this order; the torque of '{worst}' is up to {self.torques[worst]:.3g}"
                 ),
                 remedy=_FRICTION_REMEDY if force in FRICTION else _FORCE_REMEDY,
             )

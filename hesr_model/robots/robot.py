@@ -106,9 +106,9 @@ class Robot:
         terms = {*self.description.springs, *self.description.balancers}
         spring_torques = self._model_file.forces.get(SPRINGS, {})
         missing_springs = {
-            frame.name: spring_torques.get(frame.name, 0.0)
-            for frame in self.tree
-            if frame.name in self._model_file.springs and frame.name not in terms
+            name: spring_torques.get(name, 0.0)
+            for name in self.joints
+            if name in self._model_file.springs and name not in terms
         }
         findings = find_chain_doubts(
             self._model_file.path, self.joints, masses, self._limits[3], missing_springs

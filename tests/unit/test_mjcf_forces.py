@@ -23,6 +23,7 @@ FIXED = (
     "</tendon>"
 )
 SPATIAL = '<tendon><spatial {}><site site="world"/><site site="tip"/></spatial></tendon>'
+MESH = '<asset><mesh name="m" vertex="0 0 0 0.6 0 0 0 0.1 0 0 0 0.4"/></asset>'
 FLEX = (
     '<deformable><flex name="f" dim="1" body="upper fore" vertex="0.1 0 0 0.2 0 0" element="0 1">'
     "<edge {}/></flex></deformable>"
@@ -92,6 +93,10 @@ FORCES = {
         ),
         "density and viscosity of <option>",
     ),
+    "ellipsoid of a mesh": (
+        mjcf(options=MESH + WATER, geom='<geom type="mesh" mesh="m" fluidshape="ellipsoid"/>'),
+        "density and viscosity of <option>",
+    ),
     "edges of flex": (mjcf(more=FLEX.format('stiffness="300"')), "elasticity of <flex>"),
     **AT_TENDON,
     **DAMPED,
@@ -150,12 +155,26 @@ def test_a_force_is_named_with_its_torque(text: str, force: str, tmp_path: Path)
     worth = np.abs(compute_torques(text) - compute_torques(mjcf())).max(axis=0)
     (finding,) = left_over(path)
     assert force in finding.found
-    (number,) = re.findall(r"worth up to (\S+) N\.m", finding.found)
-    assert float(number) == pytest.approx(worth["ab".index(finding.found[-2])], rel=0.05)
+    (sizes,) = re.findall(r"worth up to (.*) N\.m", finding.found)
+    assert [float(size) for size in sizes.split(", ")] == pytest.approx(worth[worth > 0], rel=0.05)
     assert finding.joints == tuple(joint for joint, w in zip("ab", worth, strict=True) if w)
     torque = np.abs(compute_torques(mjcf())).max(axis=0)
     expected = "error" if (worth / torque).max() > 0.05 else "warning"
     assert finding.severity == ("advice" if force in mjcf_forces.FRICTION else expected)
+
+
+def test_the_spring_of_a_follower_is_named(tmp_path: Path) -> None:
+    """The robot file has springs of leaders only."""
+    path = tmp_path / "arm.xml"
+    equality = '<equality><joint joint1="b" joint2="a"/></equality>'
+    text = mjcf('stiffness="4"', more=equality)
+    text = text.replace('name="b"', 'name="b" stiffness="9" springref="0.4"')
+    path.write_text(text, encoding="utf-8")
+    (finding,) = Robot(path).doubts
+    assert finding.joints == ("b",)
+    (size,) = re.findall(r"stiffness of <joint>, worth up to (\S+) N\.m", finding.found)
+    worth = np.abs(compute_torques(text) - compute_torques(text.replace('"9"', '"0"'))).max(axis=0)
+    assert float(size) == pytest.approx(worth[1], rel=0.05)
 
 
 @pytest.mark.parametrize("text", ['gear="3"', 'gear="3" armature="0.1"'])
