@@ -29,13 +29,15 @@ _USED_NAMES = {
     "robot": ("name", "link", "joint"),
     "link": ("name", "inertial"),
     "inertial": ("origin", "mass", "inertia"),
-    "joint": ("name", "type", "origin", "parent", "child", "axis", "limit", "mimic"),
+    "joint": ("name", "type", "origin", "parent", "child", "axis", "limit", "mimic", "dynamics"),
+    "dynamics": (),
     "parent": ("link",),
     "child": ("link",),
     "mimic": ("joint", "multiplier", "offset"),
     "limit": ("lower", "upper", "effort", "velocity"),
     **{kind: tuple(_NUMBERS[kind]) for kind in ("mass", "inertia", "origin", "axis")},
 }
+_FRICTION_REASON = "friction, which the laws of logs describe"
 _IRRELEVANT_NAMES = {
     "robot": {
         "material": "a colour",
@@ -60,10 +62,15 @@ _IRRELEVANT_NAMES = {
         "kinematic": "of a body in a simulator",
     },
     "joint": {
-        "dynamics": "friction, which the laws of logs describe",
         "safety_controller": "limits of a controller within those of the joint",
         "calibration": "of the zero by a controller",
         "dont_collapse": "for a converter",
+    },
+    "dynamics": {
+        "damping": _FRICTION_REASON,
+        "friction": _FRICTION_REASON,
+        "mu_coulomb": _FRICTION_REASON,
+        "mu_viscous": _FRICTION_REASON,
     },
     "limit": {
         "acceleration": "for a planner",
@@ -103,7 +110,7 @@ def read_urdf(path: Path, text: str | bytes) -> Urdf:
     ledger.refuse_misspelt(RobotError)
     plain_root = Element("robot", name=root.get("name", "robot"))
     followers = {}
-    parents = {}
+    parents: dict[str, tuple[str, str]] = {}
     findings: dict[str, Finding] = {}
     for link in root.iterfind("link"):
         plain_link = SubElement(plain_root, "link", name=link.get("name", ""))
@@ -122,7 +129,13 @@ def read_urdf(path: Path, text: str | bytes) -> Urdf:
         name = joint.get("name", "")
         ends = (joint.find("parent"), joint.find("child"))
         if ends[0] is not None and ends[1] is not None:
-            parents[ends[1].get("link", "")] = ends[0].get("link", ""), name
+            child = ends[1].get("link", "")
+            if child in parents:
+                raise RobotError(
+                    f"{path}: link '{child}' is the child of joints '{parents[child][1]}' and "
+                    f"'{name}'; a URDF has no loops, so remove one of these joints."
+                )
+            parents[child] = ends[0].get("link", ""), name
         mimic = joint.find("mimic")
         if mimic is not None:
             factor = mimic.get("multiplier", "1")

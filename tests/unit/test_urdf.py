@@ -132,6 +132,13 @@ def test_doubtful_numbers_are_reported(
     assert doubt.sentence == Containing(where, found)
 
 
+def test_a_link_with_two_joints_is_refused(tmp_path: Path) -> None:
+    """Pinocchio would read it twice."""
+    path = chain(tmp_path, {}, {}, {"child": "j1"})
+    with pytest.raises(RobotError, match=r"link 'j1' .* joints 'j1' and 'j3'"):
+        Robot(path)
+
+
 def test_a_joint_that_moves_no_inertia_is_an_error(tmp_path: Path) -> None:
     """The last link turns about y without any inertia about it."""
     path = chain(tmp_path, {}, {})

@@ -62,9 +62,13 @@ def test_a_mistyped_name_is_refused(name: str, mistyped: str, near: str, tmp_pat
 )
 def test_what_is_irrelevant_changes_nothing(kind: str, name: str, tmp_path: Path) -> None:
     plain = Robot(write(tmp_path, ARM))
-    before = {"robot": "</robot>", "link": "</link>", "joint": "</joint>", "limit": None}[kind]
-    if before is None:
+    before = {"robot": "</robot>", "link": "</link>", "joint": "</joint>"}.get(kind)
+    if kind == "limit":
         text = ARM.replace('effort="10"', f'effort="10" {name}="3"')
+    elif kind == "dynamics":
+        numbers = {"damping": "1"} | {name: "3"}  # urdfdom wants damping or friction
+        attributes = " ".join(f'{key}="{number}"' for key, number in numbers.items())
+        text = ARM.replace("</joint>", f"<dynamics {attributes}/></joint>")
     else:
         inner = '<mass value="50"/><origin xyz="1 2 3"/>'
         text = ARM.replace(before, f'<{name} k_velocity="7" damping="7">{inner}</{name}>{before}')
@@ -76,6 +80,12 @@ def test_what_is_irrelevant_changes_nothing(kind: str, name: str, tmp_path: Path
         plain.torque(plain.nominal_parameters, *state),
     )
     np.testing.assert_array_equal(robot.limits, plain.limits)
+
+
+def test_a_spring_of_a_joint_is_left_over(tmp_path: Path) -> None:
+    text = ARM.replace("</joint>", '<dynamics damping="1" spring_stiffness="3"/></joint>')
+    (doubt,) = (d for d in Robot(write(tmp_path, text)).doubts if d.check == "left-over")
+    assert "'spring_stiffness' of <dynamics>" in doubt.found
 
 
 def test_elements_of_other_tools_are_left_over_once(tmp_path: Path) -> None:
