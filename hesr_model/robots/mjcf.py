@@ -346,7 +346,7 @@ def _couple_by_tendons(mj_model: Any) -> dict[str, list[str]]:
     """Return the joints that each equality of tendons couples, by the names of the tendons."""
     kinds = import_engine().mjtEq
     couplings = {}
-    for k in np.flatnonzero(mj_model.eq_active0):
+    for k in _list_equalities(mj_model):
         if kinds(mj_model.eq_type[k]) != kinds.mjEQ_TENDON:
             continue
         tendons = [mj_model.eq_obj1id[k], mj_model.eq_obj2id[k]]
@@ -354,7 +354,8 @@ def _couple_by_tendons(mj_model: Any) -> dict[str, list[str]]:
         joints = set[int]().union(*(_find_joints_of_tendon(mj_model, t) for t in tendons))
         names = [mj_model.tendon(t).name or f"number {t}" for t in tendons]
         cause = f"an equality of tendon {' and '.join(names)}"
-        couplings[cause] = [mj_model.joint(j).name or f"joint{j}" for j in sorted(joints)]
+        joint_names = _name_joints(mj_model)
+        couplings[cause] = [joint_names[j] for j in sorted(joints)]
     return couplings
 
 
@@ -394,7 +395,7 @@ def _compute_inverse(mj_model: Any, *, check: dict[str, Any]) -> Array:
     mujoco = import_engine()
     mj_model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     mj_model.opt.enableflags = 0
-    names = {mj_model.joint(j).name or f"joint{j}": j for j in range(mj_model.njnt)}
+    names = {name: j for j, name in enumerate(_name_joints(mj_model))}
     joints = [names[name] for name in check["joints"]]
     q_addresses = mj_model.jnt_qposadr[joints]
     dofs = mj_model.jnt_dofadr[joints]
@@ -416,12 +417,19 @@ def _strip_mjcf(path: Path, *, keep_forces: bool = False) -> Any:
     """
     mujoco = import_engine()
     spec = mujoco.MjSpec.from_file(str(path))
+    # Only constraints need more memory than MuJoCo's default, and some files ask for gigabytes.
+    spec.memory = spec.nstack = spec.njmax = spec.nconmax = -1
     for part in _list_ineffective_parts(spec, keep_forces=keep_forces):
         spec.delete(part)
     meshes = set()
     bodies = _find_shaped_bodies(spec)
     for site in spec.sites:
         site.material = ""
+        if site.meshname and keep_forces:
+            meshes.add(site.meshname)
+        elif site.meshname:
+            site.meshname = ""
+            site.type = mujoco.mjtGeom.mjGEOM_SPHERE
     for geom in spec.geoms:
         geom.material = ""
         if geom.parent.name not in bodies and not (keep_forces and _may_have_force(spec, geom)):
@@ -465,7 +473,24 @@ def _get_joint_transmissions() -> tuple[Any, Any]:
 def _may_have_force(spec: Any, geom: Any) -> bool:
     """Return whether a tendon may wrap around a geom, or a fluid flow around its ellipsoid."""
     kinds = import_engine().mjtGeom
+    if geom.fluid_ellipsoid and (spec.option.density or spec.option.viscosity):
+        return True
     return geom.type not in (kinds.mjGEOM_MESH, kinds.mjGEOM_HFIELD, kinds.mjGEOM_SDF)
+
+
+def _name_joints(mj_model: Any) -> list[str]:
+    return _number_unnamed([mj_model.joint(j).name for j in range(mj_model.njnt)], "joint")
+
+
+def _number_unnamed(names: Sequence[str], kind: str) -> list[str]:
+    """Return names of which the empty ones are a kind and a number, unlike all others."""
+    numbered_names = []
+    for number, name in enumerate(names):
+        new_name = name or f"{kind}{number}"
+        while not name and new_name in names:
+            new_name += "_"
+        numbered_names.append(new_name)
+    return numbered_names
 
 
 def _find_shaped_bodies(spec: Any) -> set[str]:
@@ -473,10 +498,9 @@ def _find_shaped_bodies(spec: Any) -> set[str]:
     has_total_mass = spec.compiler.settotalmass > 0.0
     kinds = import_engine().mjtInertiaFromGeom
     moving_bodies: set[str] = set()
-    if geom.fluid_ellipsoid and (spec.option.density or spec.option.viscosity):
-        return True
-    for number, body in enumerate(spec.bodies[1:], start=1):
-        body.name = body.name or f"body{number}"
+    names = _number_unnamed([body.name for body in spec.bodies], "body")
+    for body, name in zip(spec.bodies[1:], names[1:], strict=True):
+        body.name = name
         if body.parent.name in moving_bodies or list(body.joints) or has_total_mass:
             moving_bodies.add(body.name)
     if inertia_source == kinds.mjINERTIAFROMGEOM_FALSE:
@@ -501,7 +525,7 @@ def _require_mesh(spec: Any, geom: Any, path: Path) -> None:
 
 def _describe_model(mj_model: Any) -> Compiled:
     """Return the tree as a URDF, what a URDF cannot state, and torques to compare."""
-    names = [mj_model.joint(j).name or f"joint{j}" for j in range(mj_model.njnt)]
+    names = _name_joints(mj_model)
     if mj_model.opt.disableflags & int(import_engine().mjtDisableBit.mjDSBL_GRAVITY):
         mj_model.opt.gravity[:] = 0.0
     equalities = _read_equalities(mj_model, names)
@@ -511,6 +535,8 @@ def _describe_model(mj_model: Any) -> Compiled:
     for motor in range(len(mj_model.actuator_armature)):
         joint = mj_model.actuator_trnid[motor, 0]
         armature[joint] += mj_model.actuator_gear[motor, 0] ** 2 * mj_model.actuator_armature[motor]
+    has_springs = not mj_model.opt.disableflags & int(import_engine().mjtDisableBit.mjDSBL_SPRING)
+    stiffness = mj_model.jnt_stiffness * has_springs
     single_joints = {
         name: j for j, name in enumerate(names) if mj_model.jnt_type[j] >= 2
     }  # slide, hinge
@@ -525,7 +551,7 @@ def _describe_model(mj_model: Any) -> Compiled:
         "springs": {
             name: (float(k), -float(k * mj_model.qpos_spring[mj_model.jnt_qposadr[j]]))
             for name, j in single_joints.items()
-            if (k := mj_model.jnt_stiffness[j]) > 0.0 and name not in held_positions
+            if (k := stiffness[j]) and name not in held_positions
         },
         "loops": equalities.loops,
         "couplings": equalities.couplings,
@@ -649,18 +675,38 @@ class _Equalities(NamedTuple):
     couplings: dict[str, list[str]]
 
 
+def _list_equalities(mj_model: Any) -> list[int]:
+    """Return the numbers of the equalities that hold; a flag may disable all."""
+    flags = import_engine().mjtDisableBit
+    if mj_model.opt.disableflags & int(flags.mjDSBL_CONSTRAINT | flags.mjDSBL_EQUALITY):
+        return []
+    numbers: list[int] = np.flatnonzero(mj_model.eq_active0).tolist()
+    return numbers
+
+
 def _read_equalities(mj_model: Any, names: list[str]) -> _Equalities:
     kinds = import_engine().mjtEq
     equalities = _Equalities({}, {}, [], {})
-    for k in np.flatnonzero(mj_model.eq_active0):
+    for k in _list_equalities(mj_model):
         kind = kinds(mj_model.eq_type[k])
         if kind in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD):
-            bodies = _find_tied_bodies(mj_model, int(k))
+            bodies = _find_tied_bodies(mj_model, k)
             if np.all(mj_model.body_mocapid[bodies] < 0):
                 equalities.loops.append([mj_model.body(body).name for body in bodies])
         elif kind == kinds.mjEQ_JOINT:
-            _add_joint_equality(equalities, mj_model, int(k), names)
+            _add_joint_equality(equalities, mj_model, k, names)
+    _hold_followers(equalities)
     return equalities
+
+
+def _hold_followers(equalities: _Equalities) -> None:
+    """Hold the joints that follow one which is held."""
+    followers = equalities.followers
+    held_positions = equalities.held_positions
+    while resting_names := [name for name in followers if followers[name][0] in held_positions]:
+        for name in resting_names:
+            leader, slope, offset = followers.pop(name)
+            held_positions[name] = slope * held_positions[leader] + offset
 
 
 def _find_tied_bodies(mj_model: Any, equality: int) -> list[int]:
@@ -678,14 +724,22 @@ def _add_joint_equality(
     leader = int(mj_model.eq_obj2id[equality])
     constant, slope, *higher = mj_model.eq_data[equality][:5].tolist()
     constant += float(mj_model.qpos0[mj_model.jnt_qposadr[follower]])
-    if leader < 0:
-        equalities.held_positions[names[follower]] = constant
+    name = names[follower]
+    several = f"several equalities of '{name}'"
+    if {name, several} & {*equalities.followers, *equalities.held_positions, *equalities.couplings}:
+        previous_leader, *_ = equalities.followers.pop(name, (name,))
+        equalities.held_positions.pop(name, None)
+        leader_name = names[leader] if leader >= 0 else name
+        coupled_names = equalities.couplings.setdefault(several, [])
+        coupled_names += [name, previous_leader, leader_name]
+    elif leader < 0:
+        equalities.held_positions[name] = constant
     elif any(higher):
-        cause = f"the polynomial of an equality of '{names[follower]}'"
-        equalities.couplings[cause] = [names[leader], names[follower]]
+        cause = f"the polynomial of an equality of '{name}'"
+        equalities.couplings[cause] = [names[leader], name]
     else:
         offset = constant - slope * float(mj_model.qpos0[mj_model.jnt_qposadr[leader]])
-        equalities.followers[names[follower]] = names[leader], slope, offset
+        equalities.followers[name] = names[leader], slope, offset
 
 
 def _compute_torques(

@@ -333,7 +333,7 @@ def load(path: Path) -> RobotModelFile:
         joints_above={link: frozenset(chain.joints) for link, chain in chains.items()},
         bodies={joint: link for link, (_, joint) in urdf.parents.items()},
         link_doubts=urdf.doubts,
-        loops=_find_loops(compiled, chains),
+        loops=_find_loops(compiled, chains, names),
         doubts=tuple(find_model_doubts(path, pin_model)),
         file_doubts=(*urdf.left_over, *doubt_units(path, pin_model)),
         forces=compiled.get("forces", {}),
@@ -365,23 +365,26 @@ def _rename_ambiguous_bodies(pin_model: Any) -> None:
             frame.name = f"{frame.name} (link)"
 
 
-def _find_loops(compiled: Compiled, chains: Mapping[str, "_Chain"]) -> dict[str, frozenset[str]]:
+def _find_loops(
+    compiled: Compiled, chains: Mapping[str, "_Chain"], moving_names: Collection[str]
+) -> dict[str, frozenset[str]]:
     """Return joints whose torque a constraint shares out, by cause.
 
     Two bodies tied to each other close a loop over the joints between them: those above one of
     them only.
     """
     loops = {
-        f"joints {join_few(joints)} are coupled by {coupling}": frozenset(joints)
+        f"joints {join_few(dict.fromkeys(joints))} are coupled by {coupling}": frozenset(joints)
         for coupling, joints in compiled.get("couplings", {}).items()
     }
     base = _Chain([], [])
     for first, second in compiled.get("loops", ()):
         joints_above_first = set(chains.get(first, base).joints)
         joints_above_second = set(chains.get(second, base).joints)
-        loops[f"the bodies '{first}' and '{second}' are tied to each other"] = frozenset(
-            joints_above_first ^ joints_above_second
-        )
+        tied_joints = (joints_above_first ^ joints_above_second).intersection(moving_names)
+        if tied_joints:
+            cause = f"the bodies '{first}' and '{second}' are tied to each other"
+            loops[cause] = frozenset(tied_joints)
     return loops
 
 
@@ -418,6 +421,7 @@ def _resolve_followers(path: Path, followers: Followers, names: set[str]) -> Fol
             leader, slope, offset = next_leader, slope * factor, offset + slope * shift
         cause = ""
         if leader in visited:
+            leader, *_ = followers[name]
             cause = "which follows it"
         elif leader not in names:
             cause = "which does not move"

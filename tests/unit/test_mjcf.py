@@ -104,6 +104,51 @@ def test_gravity_and_inertias_of_shapes_are_those_of_the_file(tmp_path: Path) ->
     np.testing.assert_array_equal(Robot(path).gravity, np.zeros(3))
 
 
+MESH = '<asset><mesh name="m" vertex="0 0 0 0.3 0 0 0 0.1 0 0 0 0.2"/></asset>'
+SITES = '<site type="mesh" mesh="m"/><site type="capsule" size="1" fromto="0 0 0 1 1 1"'
+UNUSUAL = {
+    "springs disabled": (
+        ('axis="0 1 0" stiffness="30"',), "", '<option><flag spring="disable"/></option>', {}
+    ),
+    "negative spring": (('axis="0 1 0" stiffness="-3" springref="0.2"',), "", "", {}),
+    "gigabytes for contacts": (('axis="0 1 0"',), "", '<size njmax="9000" nconmax="900000"/>', {}),
+    "mesh of a site": (('axis="0 1 0"', f'axis="0 1 0"/>{SITES}'), MESH, "", {}),
+    "equalities disabled": (
+        ('axis="0 1 0"', 'axis="0 1 0"'),
+        '<equality><joint joint1="a2" joint2="a1"/></equality>',
+        '<option><flag equality="disable"/></option>',
+        {},
+    ),
+    "follower of a held joint": (
+        ('axis="0 1 0"', 'axis="0 1 0"', 'axis="1 0 0" ref="0.2"'),
+        '<equality><joint joint1="a3" joint2="a2" polycoef="0.1 2 0 0 0"/>'
+        '<joint joint1="a2" polycoef="0.3 0 0 0 0"/></equality>',
+        "",
+        {"a2": 0.3, "a3": 0.2 + 0.1 + 2 * 0.3},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", UNUSUAL)
+def test_unusual_files_are_read_as_by_mujoco(kind: str, tmp_path: Path) -> None:
+    joints, more, options, held = UNUSUAL[kind]
+    path = mjcf(tmp_path, arm("a", "", *joints), more, options)
+    robot = Robot(path)
+    assert len(robot.tree) == len(joints) - len(held)
+    torques(robot, path, others=held)
+
+
+def test_parts_without_a_name_get_one_of_their_own(tmp_path: Path) -> None:
+    """Even if others are called after their numbers."""
+    body = f'<body name="body2"><joint axis="0 1 0"/>{INERTIAL.format(1)}<body>'
+    body += f'<joint name="joint0" axis="0 1 0" pos="0.1 0 0"/>{INERTIAL.format(2)}</body></body>'
+    path = mjcf(tmp_path, body)
+    robot = Robot(path)
+    assert robot.joints == ("joint0_", "joint0")
+    named = mjcf(tmp_path, body.replace("<joint axis", '<joint name="first" axis'))
+    np.testing.assert_array_equal(robot.nominal_parameters, Robot(named).nominal_parameters)
+
+
 def test_the_robot_file_turns_the_base(tmp_path: Path) -> None:
     turned = mjcf(tmp_path, arm("a", 'euler="0.4 0 0"', 'axis="0 1 0"', 'axis="1 1 0"'))
     expected = torques(Robot(turned), turned)
@@ -199,6 +244,11 @@ LOOPS = {
         {"a1", "a2"},
         "the bodies 'a_link2' and 'world'",
     ),
+    "two leaders": (
+        '<equality><joint joint1="a3" joint2="a2"/><joint joint1="a3" joint2="a4"/></equality>',
+        {"a2", "a3", "a4"},
+        "joints a3, a2, a4 are coupled by several equalities of 'a3'",
+    ),
     "polynomial": (
         '<equality><joint joint1="a3" joint2="a2" polycoef="0 1 2 0 0"/></equality>',
         {"a2", "a3"},
@@ -238,6 +288,7 @@ def test_joints_in_a_loop_rest_unless_they_are_asked_for(kind: str, tmp_path: Pa
     (doubt,) = (doubt for doubt in robot.doubts if doubt.check == "loop")
     assert doubt.severity == "advice"
     assert cause in doubt.found
+    assert "fixed" not in doubt.found
     torques(robot, path)
     with pytest.raises(RobotError, match="undetermined") as caught:
         Robot(describe_model(path, ["a1", "a2", "a3", "a4"]))
