@@ -412,8 +412,9 @@ def _trace_chain(link: str, parents: Mapping[str, tuple[str, str]]) -> _Chain:
 
 def _resolve_followers(path: Path, followers: Followers, names: set[str]) -> Followers:
     resolved = {}
-    for name in followers.keys() & names:
-        leader, slope, offset = followers[name]
+    for name, (leader, slope, offset) in followers.items():
+        if name not in names:
+            continue
         visited = {name}
         while leader in followers and leader not in visited:
             visited.add(leader)
