@@ -196,8 +196,13 @@ def _read_all(archive: zipfile.ZipFile, folder: Path) -> Contents:
         problems += _oddities(entry)
     problems += _duplicates([entry.filename for entry in zip_entries])
     files, reading_problems = _copy_entries(archive, folder)
-    names = tuple(dict.fromkeys(e.filename for e in zip_entries if not is_folder(e)))
+    names = tuple(dict.fromkeys(_name_member(e) for e in zip_entries if not is_folder(e)))
     return Contents(names=names, files=files, problems=(*problems, *reading_problems))
+
+
+def _name_member(entry: zipfile.ZipInfo) -> str:
+    """Return the name of an entry as the other rules and `hesr simulate` read it."""
+    return entry.filename.replace("\\", "/")
 
 
 def _copy_entries(archive: zipfile.ZipFile, folder: Path) -> tuple[dict[str, Path], list[Problem]]:
@@ -220,7 +225,7 @@ def _copy_entries(archive: zipfile.ZipFile, folder: Path) -> tuple[dict[str, Pat
             text = f"the entry {quote(entry.filename)} cannot be read ({format_error(error)})."
             problems.append(("archive-damaged", text))
         else:
-            files.setdefault(entry.filename, target)
+            files.setdefault(_name_member(entry), target)
     if unread:
         text = (
             f"its entries claim {unpacked} bytes unpacked; more than {MAX_TOTAL_BYTES} are not "

@@ -95,6 +95,13 @@ def test_a_backslash_is_reported(entry):
     assert entry("resources\\x") == [Containing("entry 'resources\\x' has a backslash")]
 
 
+def test_entries_with_backslashes_are_checked_like_others(content, tmp_path):
+    """A missing binary is none that has a backslash in its name."""
+    named = {name.replace("/", "\\"): data for name, data in content.items()}
+    found = check(write(tmp_path / "F.fmu", named)).problems
+    assert {(f.check, f.severity) for f in found} == {("archive-backslash", "error")}
+
+
 @pytest.mark.parametrize(
     ("name", "shown"), [("a\nb", "a\\nb"), ("a\x1b[31mb", "a\\x1b[31mb"), ("a\u202eb", "a\\u202eb")]
 )
