@@ -108,12 +108,12 @@ class _Fmi2:
     models = fmi2.FMU2Model
     slaves = fmi2.FMU2Slave
 
-    def instantiate(self, slave: Any, tell: Tell) -> None:
+    def instantiate(self, slave: Any, tell: Tell, *, logs: bool = False) -> None:
         callbacks = fmi2.fmi2CallbackFunctions()
         callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(_logger(tell))
         callbacks.allocateMemory = fmi2.defaultCallbacks.allocateMemory
         callbacks.freeMemory = fmi2.defaultCallbacks.freeMemory
-        slave.instantiate(callbacks=callbacks)
+        slave.instantiate(callbacks=callbacks, loggingOn=logs)
 
     def setup(self, call: Call, time: float, stop: float | None) -> None:
         call(self.functions["setup"], False, 0.0, time, stop is not None, stop or 0.0)
@@ -168,8 +168,8 @@ class _Fmi3(_Fmi2):
     models = fmi3.FMU3Model
     slaves = fmi3.FMU3Slave
 
-    def instantiate(self, slave: Any, tell: Tell) -> None:
-        slave.instantiate(logMessage=_logger(tell))
+    def instantiate(self, slave: Any, tell: Tell, *, logs: bool = False) -> None:
+        slave.instantiate(logMessage=_logger(tell), loggingOn=logs)
 
     def setup(self, call: Call, time: float, stop: float | None) -> None:
         """Do nothing."""
@@ -235,7 +235,7 @@ class Instance:
                     instanceName=fmu.name,
                 )
         except Exception as error:  # FMPy raises bare exceptions
-            raise LoadError(str(error)) from error
+            raise LoadError(str(error).replace(f"{fmu.folder}/", "")) from error
         self._usable = True
         for name, function in vars(self.slave.dll).items():  # FMPy accepts negative ones
             if name.startswith("fmi") and function.restype is c_int:
@@ -243,6 +243,8 @@ class Instance:
         try:
             self.fmi.instantiate(self.slave, tell)
         except Exception as error:  # FMPy raises bare exceptions
+            with suppress(Exception):  # many FMUs give their reason only if logging is on
+                self.fmi.instantiate(self.slave, tell, logs=True)
             self.slave.freeLibrary()
             raise failure(CallError(str(error))) from error
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from containing import Containing
+from pythonfmu.builder import FmuBuilder
 
 from cosim.systems.system import ComponentSpec, SystemSpec
 from fmu_src.run.fmu import FmuInstance
@@ -188,9 +189,34 @@ def test_broken_binaries_are_refused(friction_fmu, tmp_path, folder):
     with zipfile.ZipFile(friction_fmu) as old, zipfile.ZipFile(fmu, "a") as new:
         name = next(n for n in old.namelist() if n.startswith("binaries/"))
         new.writestr(name, b"nothing")
-    with pytest.raises(SimulationError, match="its binary cannot be loaded"):
+    with pytest.raises(SimulationError, match="its binary cannot be loaded") as caught:
         FmuInstance(fmu).__enter__()
+    assert str(folder) not in str(caught.value)
     assert not list(folder.iterdir())
+
+
+FAILING = """
+from pythonfmu import Fmi2Slave
+
+
+class Failing(Fmi2Slave):
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        if "resources" in __file__:  # not while it is built
+            raise ValueError("no licence")
+
+    def do_step(self, current_time, step_size):
+        return True
+"""
+
+
+def test_the_reason_of_a_failed_instantiation_is_given(tmp_path, folder):
+    """PythonFMU gives it only while logging is on."""
+    script = tmp_path / "unlicensed.py"
+    script.write_text(FAILING, encoding="utf-8")
+    fmu = Path(FmuBuilder.build_FMU(script, dest=tmp_path))
+    with pytest.raises(SimulationError, match="no licence"):
+        FmuInstance(fmu).__enter__()
 
 
 def test_one_file_serves_many_components(friction_fmu, tmp_path):
