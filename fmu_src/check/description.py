@@ -67,6 +67,10 @@ class SimpleType:
         """Values of its items."""
         return frozenset(value for _, value in self.items)
 
+    def get(self, attribute: str) -> str | None:
+        """Return an attribute."""
+        return self.attributes.get(attribute)
+
 
 @dataclass(frozen=True, kw_only=True)
 class ParsedVariable:
@@ -88,7 +92,7 @@ class ParsedVariable:
         """Return an attribute, by default that of the declared type."""
         if attribute in self.type_attributes or self.type is None:
             return self.type_attributes.get(attribute)
-        return self.type.attributes.get(attribute)
+        return self.type.get(attribute)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,6 +101,7 @@ class Unknown:
 
     index: int
     dependencies: tuple[int, ...] | None
+    dependency_kinds: tuple[str, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,6 +131,16 @@ class ParsedDescription:
         if self.fmi == 2:
             return ("Real",)
         return FLOATS
+
+    @cached_property
+    def state_indices(self) -> frozenset[int | None]:
+        """Indices of the variables that have a derivative."""
+        derivatives = (v.type_attributes.get("derivative") for v in self.variables)
+        return frozenset(integer(state) for state in derivatives)
+
+    def has_kind(self, element: str) -> bool:
+        """Whether the FMU is for a kind of simulation."""
+        return any(kind.element == element for kind in self.kinds)
 
     def variable(self, index: int | None) -> ParsedVariable | None:
         """Return the variable of an index that counts from 1, or None."""
@@ -258,7 +273,8 @@ class _Reader:
             if dependencies_text is not None:
                 numbers = [self.number(word) for word in dependencies_text.split()]
                 dependencies = tuple(number for number in numbers if number is not None)
-            yield Unknown(index=index, dependencies=dependencies)
+            kinds = tuple(element.get("dependenciesKind", "").split())
+            yield Unknown(index=index, dependencies=dependencies, dependency_kinds=kinds)
 
 
 class _Reader3(_Reader):
@@ -270,6 +286,8 @@ class _Reader3(_Reader):
         "Outputs": "ModelStructure/Output",
         "Derivatives": "ModelStructure/ContinuousStateDerivative",
         "InitialUnknowns": "ModelStructure/InitialUnknown",
+        "ClockedStates": "ModelStructure/ClockedState",
+        "EventIndicators": "ModelStructure/EventIndicator",
     }
     variables = "ModelVariables/*"
     types = "TypeDefinitions/*"
@@ -284,7 +302,11 @@ class _Reader3(_Reader):
         for i, element in enumerate(self.elements, start=1):
             reference = integer(element.get("valueReference"))
             self._numbers.setdefault(reference, i)
-            self._sizes[reference] = integer(element.get("start"))
+            is_structural = element.get("causality") == "structuralParameter"
+            if element.tag == "UInt64" and (
+                is_structural or element.get("variability") == "constant"
+            ):
+                self._sizes[reference] = integer(element.get("start"))
 
     def find_type_element(self, element: etree._Element) -> etree._Element:
         return element
@@ -315,13 +337,15 @@ class _Reader3(_Reader):
     def _complete_attributes(
         self, element: etree._Element, attributes: Mapping[str, str]
     ) -> dict[str, str]:
-        """Return attributes with the start values of texts, and the index of a state."""
+        """Return attributes with the start values of texts, and indices for value references."""
         completed = dict(attributes)
         starts = element.findall("Start")  # of a String or Binary
         if starts and "start" not in completed:
             completed["start"] = " ".join(start.get("value", "") or "?" for start in starts)
-        if "derivative" in completed:
-            completed["derivative"] = str(self.number(completed["derivative"]))
+        for name in ("derivative", "previous", "clocks"):
+            if name in completed:
+                indices = [str(self.number(word)) for word in completed[name].split()]
+                completed[name] = " ".join(indices)
         return completed
 
     def _read_size(self, element: etree._Element) -> int | None:
@@ -329,8 +353,11 @@ class _Reader3(_Reader):
         sizes = []
         for dimension in element.findall("Dimension"):
             size = integer(dimension.get("start"))
-            if "start" not in dimension.attrib:
-                size = self._sizes.get(integer(dimension.get("valueReference")))
+            reference = integer(dimension.get("valueReference"))
+            if size is None:
+                size = self._sizes.get(reference)
+            elif reference is not None:
+                size = None  # either a size or a reference
             if size is None:
                 return None
             sizes.append(size)

@@ -5,17 +5,19 @@ Those on variables yield one sentence for each variable that breaks them.
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from itertools import pairwise
 
 from lxml import etree
 
 from fmu_src.check.archive import Contents
 from fmu_src.check.description import (
+    FLOATS,
     KINDS,
     STRUCTURE,
     ParsedDescription,
     ParsedVariable,
+    SimpleType,
     Unknown,
     integer,
     read_name,
@@ -23,7 +25,7 @@ from fmu_src.check.description import (
     real,
 )
 from fmu_src.check.rules import Problem
-from hesr_model.support.text import quote, quote_names, sanitise
+from hesr_model.support.text import join_with_or, quote, quote_names, sanitise
 
 TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
 _ICON = "terminalsAndIcons/icon.png"
@@ -108,8 +110,12 @@ def _definitions(model_description: ParsedDescription) -> Iterator[Problem]:
         yield from find_duplicates("unit-twice", f"display unit of {quote(unit)},", displays)
     yield from find_duplicates("type-twice", "type", (t.name for t in model_description.types))
     yield from find_duplicates("category-twice", "log category", model_description.categories)
+    units = {name for name, _ in model_description.units}
     variables = {variable.name for variable in model_description.variables}
+    if "" in variables:
+        yield "variable-name", "a variable has an empty name."
     for simple in model_description.types:
+        yield from _check_type(simple, units)
         if simple.name in variables:
             yield "type-name", f"the type {quote(simple.name)} has the name of a variable."
         subject = f"enumeration {quote(simple.name)}"
@@ -119,6 +125,18 @@ def _definitions(model_description: ParsedDescription) -> Iterator[Problem]:
         for value, times in Counter(value for _, value in simple.items).items():
             if times > 1:
                 yield "type-twice", f"the {subject} has {times} items of the value {value}."
+
+
+def _check_type(simple: SimpleType, units: Container[str]) -> Iterator[Problem]:
+    subject = f"the type {quote(simple.name)}"
+    for rule, text in _check_limits(simple):
+        yield rule, f"{subject} {text}"
+    unit = simple.get("unit")
+    if unit is not None and unit not in units:
+        yield "type-unit", f"{subject} has the unit {quote(unit)}, which is not defined."
+    display_unit = simple.get("displayUnit")
+    if display_unit is not None and unit is None:
+        yield "type-unit", f"{subject} has the display unit {quote(display_unit)} but no unit."
 
 
 def find_duplicates(
@@ -167,7 +185,7 @@ def _ranges(model_description: ParsedDescription, variable: ParsedVariable) -> I
         yield from _check_item(variable)
 
 
-def _check_limits(variable: ParsedVariable) -> Iterator[Problem]:
+def _check_limits(variable: ParsedVariable | SimpleType) -> Iterator[Problem]:
     lower = real(variable.get("min"))
     upper = real(variable.get("max"))
     bounds = []
@@ -240,8 +258,7 @@ def _derivatives(
     state = model_description.variable(integer(variable.type_attributes.get("derivative")))
     if state is not None and (
         state is variable
-        or state.kind not in model_description.continuous
-        or state.variability != "continuous"
+        or not _is_continuous(model_description, state)
         or state.size != variable.size
     ):
         size = _choose_by_version(model_description, "", " and of its size")
@@ -250,6 +267,64 @@ def _derivatives(
             f"is the derivative of {quote(state.name)}, which is not another continuous "
             f"variable of type {' or '.join(model_description.continuous)}{size}.",
         )
+
+
+def _is_continuous(model_description: ParsedDescription, variable: ParsedVariable) -> bool:
+    return variable.kind in model_description.continuous and variable.variability == "continuous"
+
+
+@_apply_to_variables
+def _attributes(
+    model_description: ParsedDescription, variable: ParsedVariable
+) -> Iterator[Problem]:
+    if (
+        "reinit" in variable.type_attributes
+        and model_description.has_kind("ModelExchange")
+        and variable.index not in model_description.state_indices
+    ):
+        yield "variable-attribute", "has 'reinit', but no variable is its derivative."
+    can_update = variable.type_attributes.get("intermediateUpdate") in ("true", "1")
+    if can_update and (variable.kind == "Clock" or variable.causality == "parameter"):
+        sentence = "has 'intermediateUpdate', which clocks and parameters must not have."
+        yield "variable-attribute", sentence
+
+
+@_apply_to_variables
+def _clocks(model_description: ParsedDescription, variable: ParsedVariable) -> Iterator[Problem]:
+    indices = variable.type_attributes.get("clocks", "").split()
+    clocks = [model_description.variable(integer(index)) for index in indices]
+    if any(clock is None or clock.kind != "Clock" for clock in clocks):
+        yield "variable-clock", "has 'clocks' that are not variables of type Clock."
+    if clocks and variable.variability not in ("discrete", "tunable"):
+        yield "variable-clock", "has 'clocks', but is neither discrete nor tunable."
+    if "previous" in variable.type_attributes:
+        previous = model_description.variable(integer(variable.type_attributes["previous"]))
+        if not clocks or variable.variability != "discrete":
+            yield "variable-clock", "has 'previous', but is not a discrete variable with 'clocks'."
+        if (
+            previous is None
+            or previous is variable
+            or previous.kind != variable.kind
+            or previous.variability != "discrete"
+            or previous.causality == "input"
+        ):
+            sentence = "has a 'previous' that is not another discrete variable of its type."
+            yield "variable-clock", sentence
+    if variable.kind == "Clock":
+        yield from _check_clock(model_description, variable)
+
+
+def _check_clock(model_description: ParsedDescription, clock: ParsedVariable) -> Iterator[Problem]:
+    names = ("intervalDecimal", "intervalCounter", "resolution")
+    interval, counter, resolution = (real(clock.get(name)) for name in names)
+    is_periodic = clock.get("intervalVariability") in ("constant", "fixed")
+    if is_periodic and interval is None and None in (counter, resolution):
+        yield "variable-clock", "has neither intervalDecimal nor intervalCounter and resolution."
+    if any(value is not None and value <= 0 for value in (interval, counter, resolution)):
+        yield "variable-clock", "has an interval that is not positive."
+    is_scheduled = model_description.has_kind("ScheduledExecution")
+    if is_scheduled and clock.causality == "input" and clock.get("priority") is None:
+        yield "variable-clock", "has no priority, which scheduled execution requires."
 
 
 def _aliases(model_description: ParsedDescription) -> Iterator[Problem]:
@@ -288,7 +363,13 @@ def _judge_aliases(members: list[ParsedVariable]) -> Iterator[Problem]:
 def _sizes(_: ParsedDescription, variable: ParsedVariable) -> Iterator[Problem]:
     start_count = len((variable.type_attributes.get("start") or "").split())
     if variable.size is None:
-        yield "variable-size", "has a dimension of unknown size."
+        yield (
+            "variable-size",
+            "has a dimension of unknown size; it must be a number, or refer to a constant or "
+            "structural parameter of type UInt64.",
+        )
+    elif variable.size == 0:
+        yield "variable-size", "has a dimension of size 0; it must be positive at first."
     elif (
         variable.kind not in ("String", "Binary")
         and start_count > 1
@@ -307,7 +388,7 @@ def _is_settable(variable: ParsedVariable) -> bool:
 
 
 def _listed_derivatives(model_description: ParsedDescription) -> Iterator[Problem]:
-    if all(kind.element != "ModelExchange" for kind in model_description.kinds):
+    if not model_description.has_kind("ModelExchange"):
         return
     listed_indices = {u.index for u in model_description.structure["Derivatives"]}
     # Several variables may be the derivative of one state, of which one is listed.
@@ -322,7 +403,7 @@ def _listed_derivatives(model_description: ParsedDescription) -> Iterator[Proble
             listed_states.add(state)
             if variable.variability != "continuous":
                 not_continuous.append(variable)
-        elif variable.variability == "continuous":
+        elif variable.variability == "continuous" and variable.causality != "input":
             unlisted.append((variable, state))
     missing = [variable for variable, state in unlisted if state not in listed_states]
     list_name = model_description.lists["Derivatives"]
@@ -336,6 +417,29 @@ def _listed_derivatives(model_description: ParsedDescription) -> Iterator[Proble
                 f"{list_name} {verb} {quote_names(variable.name for variable in variables)}; "
                 "it must list every derivative of a state and no other variable.",
             )
+
+
+def _listed_events(model_description: ParsedDescription) -> Iterator[Problem]:
+    for unknown in model_description.structure["EventIndicators"]:
+        variable = model_description.variable(unknown.index)
+        if variable is not None and not _is_continuous(model_description, variable):
+            yield (
+                "structure-derivatives",
+                f"{model_description.lists['EventIndicators']} lists {quote(variable.name)}, "
+                f"which is not a continuous variable of type {' or '.join(FLOATS)}.",
+            )
+    listed_indices = {u.index for u in model_description.structure["ClockedStates"]}
+    wrong_names = [
+        variable.name
+        for variable in model_description.variables
+        if (variable.index in listed_indices) != ("previous" in variable.type_attributes)
+    ]
+    if wrong_names:
+        yield (
+            "structure-clocks",
+            f"{model_description.lists['ClockedStates']} must list exactly the variables with "
+            f"'previous', unlike {quote_names(wrong_names)}.",
+        )
 
 
 def _order(model_description: ParsedDescription) -> Iterator[Problem]:
@@ -357,8 +461,8 @@ def _order(model_description: ParsedDescription) -> Iterator[Problem]:
 
 
 def _indices(model_description: ParsedDescription) -> Iterator[Problem]:
-    for name in STRUCTURE:
-        for index, times in Counter(u.index for u in model_description.structure[name]).items():
+    for name, unknowns in model_description.structure.items():
+        for index, times in Counter(unknown.index for unknown in unknowns).items():
             variable = model_description.variable(index)
             if variable is None:
                 text = (
@@ -378,11 +482,10 @@ def _dependencies(model_description: ParsedDescription) -> Iterator[Problem]:
         variable.causality == "input" and variable.kind != "Clock"
         for variable in model_description.variables
     )
-    for name in STRUCTURE:
-        unknowns = model_description.structure[name]
+    for name, unknowns in model_description.structure.items():
         subject = f"{model_description.lists[name]} gives"
         silent = [unknown for unknown in unknowns if unknown.dependencies is None]
-        if silent and has_inputs:
+        if silent and has_inputs and name in STRUCTURE:
             names = quote_names(_describe_unknown(model_description, u) for u in silent)
             yield (
                 "structure-loops",
@@ -391,13 +494,29 @@ def _dependencies(model_description: ParsedDescription) -> Iterator[Problem]:
             )
         for unknown in unknowns:
             unknown_name = quote(_describe_unknown(model_description, unknown))
-            for rule, predicate in _judge_dependencies(model_description, unknown):
+            allowed_kinds = _list_allowed_kinds(model_description, name, unknown)
+            for rule, predicate in _judge_dependencies(model_description, unknown, allowed_kinds):
                 yield rule, f"{subject} {unknown_name} {predicate}"
 
 
+def _list_allowed_kinds(
+    model_description: ParsedDescription, list_name: str, unknown: Unknown
+) -> tuple[str, ...]:
+    variable = model_description.variable(unknown.index)
+    if variable is not None and variable.kind not in model_description.continuous:
+        return ("dependent",)
+    if list_name == "InitialUnknowns":
+        return ("dependent", "constant")
+    return ("dependent", "constant", "fixed", "tunable", "discrete")
+
+
 def _judge_dependencies(
-    model_description: ParsedDescription, unknown: Unknown
+    model_description: ParsedDescription, unknown: Unknown, allowed_kinds: Sequence[str]
 ) -> Iterator[Problem]:
+    kinds = [kind for kind in unknown.dependency_kinds if kind not in allowed_kinds]
+    if kinds:
+        allowed = join_with_or(allowed_kinds)
+        yield "structure-kind", f"a dependency of kind {quote(kinds[0])}; it must be {allowed}."
     dependencies = unknown.dependencies or ()
     for index in dependencies:
         if model_description.variable(index) is None:
@@ -436,8 +555,15 @@ def terminal_problems(
         yield from find_duplicates(
             "terminal-twice", f"nested terminal of the {subject},", nested, "there"
         )
-        for member in members:
-            member_variable = member.get("variableName", "")
+        needs_names = terminal.get("matchingRule") in ("plug", "bus")
+        if needs_names and len(member_names) < len(members):
+            yield "terminal-member", f"the {subject} has a member without memberName."
+        member_variables = [member.get("variableName", "") for member in members]
+        for stream in terminal.findall("TerminalStreamMemberVariable"):
+            member_variables += [
+                stream.get(name, "") for name in ("inStreamVariableName", "outStreamVariableName")
+            ]
+        for member_variable in member_variables:
             if member_variable not in variable_names:
                 yield (
                     "terminal-member",
@@ -450,8 +576,8 @@ def terminal_problems(
 
 RULES = (
     *(_kinds, _identity, _experiment, _definitions),
-    *(_ranges, _types, _display_units, _derivatives),
+    *(_ranges, _types, _display_units, _derivatives, _attributes),
     *(_listed_derivatives, _order, _indices, _dependencies),
 )  # rules of every version
 RULES_2 = (_independent, _inputs, _aliases)
-RULES_3 = (_sizes,)
+RULES_3 = (_sizes, _clocks, _listed_events)

@@ -38,13 +38,13 @@ def write_copy(contents: Contents, readable: Iterable[str], path: Path) -> None:
             archive.writestr(zipfile.ZipInfo(name), data)
 
 
-def fmpy(copy: Path, reader: ReaderProcess) -> tuple[list[Problem], list[str]]:
-    """Return the problems that FMPy finds, and why it was not run."""
+def fmpy(copy: Path, reader: ReaderProcess, fmi: int) -> tuple[list[Problem], list[str]]:
+    """Return the problems that FMPy finds in an FMU of FMI 2 or 3, and why it was not run."""
     try:
         messages, failure = reader.run("fmu_src.check.readers:validate", copy, FMPY_SECONDS)
     except DiedError as error:
         return [], [f"FMPy {error}."]
-    problems = [(_choose_rule(text), _add_difference(text)) for text in messages]
+    problems = [(_choose_rule(text, fmi), _add_difference(text)) for text in messages]
     if failure:
         problems = [
             ("fmpy-failed", f"FMPy cannot read the description ({sanitise(failure, 400)}).")
@@ -52,9 +52,9 @@ def fmpy(copy: Path, reader: ReaderProcess) -> tuple[list[Problem], list[str]]:
     return problems, []
 
 
-def _choose_rule(text: str) -> str:
-    """Return the rule of a message; importers ignore display units that are not defined."""
-    if _DISPLAY_UNIT.fullmatch(text):
+def _choose_rule(text: str, fmi: int) -> str:
+    """Return the rule of a message; FMI 2 ignores display units that are not defined."""
+    if fmi == 2 and _DISPLAY_UNIT.fullmatch(text):
         return "unit-ignored"
     return "fmpy"
 

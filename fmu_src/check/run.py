@@ -181,7 +181,7 @@ class _CheckRun:
                 "FMPy and VDMCheck2: not run; the archive, its XML or the schema is wrong."
             )
         else:
-            self._run_validators(contents, version, len(model_description.variables))
+            self._run_validators(contents, model_description, version)
         for kind in self._kinds:
             check_kind = plugins.find("hesr.checks", kind)
             self._add_run(check_kind(model_description, contents, self._folder))
@@ -205,7 +205,9 @@ class _CheckRun:
         self._add(binaries.problems(model_description, contents, self._reader))
         self.skipped += binaries.describe_unknown_platforms(model_description, contents)
 
-    def _run_validators(self, contents: Contents, version: str, count: int) -> None:
+    def _run_validators(
+        self, contents: Contents, model_description: ParsedDescription, version: str
+    ) -> None:
         readable = [_MODEL]
         for name in _OTHER_XML:
             if name in contents.files:
@@ -217,13 +219,14 @@ class _CheckRun:
                     readable.append(name)
         copy = self._folder / "copy.fmu"
         external.write_copy(contents, readable, copy)
-        self._add_run(external.fmpy(copy, self._reader))
+        self._add_run(external.fmpy(copy, self._reader, model_description.fmi))
         self._groups.add("fmpy")
         if version != "2.0":
             self.skipped.append(f"VDMCheck2: it is for FMI 2.0, this is FMI {sanitise(version)}.")
             return
         if self._vdmcheck is not None:
             self._groups.add("vdmcheck2")
+        count = len(model_description.variables)
         self._add_run(external.vdmcheck2(copy, self._folder, self._vdmcheck, count))
 
 

@@ -226,10 +226,10 @@ CLOCKS_3 = """
 <Clock name="periodic" valueReference="1" causality="input" intervalVariability="constant"
   intervalDecimal="0.01" shiftDecimal="0.002" priority="1"/>
 <Clock name="counted" valueReference="2" causality="input" intervalVariability="fixed"
-  intervalCounter="1" resolution="1000" supportsFraction="true"/>
+  intervalCounter="1" resolution="1000" supportsFraction="true" priority="2"/>
 <Clock name="triggered" valueReference="3" causality="output" intervalVariability="triggered"/>
 <Clock name="countdown" valueReference="4" causality="input" intervalVariability="countdown"
-  canBeDeactivated="true"/>
+  canBeDeactivated="true" priority="3"/>
 <Float64 name="in" valueReference="5" causality="input" variability="discrete" clocks="1 2"
   start="0"/>
 <Float64 name="state" valueReference="6" causality="local" variability="discrete"
@@ -331,6 +331,32 @@ EXTRA_FILES = {
     "README": b"",
 }
 
+SIZED_3 = """
+<UInt64 name="k" valueReference="9" variability="constant" start="3"/>
+<Float64 name="v" valueReference="4" causality="parameter" variability="fixed" start="1 2 3">
+  <Dimension valueReference="9"/></Float64>"""
+SLOPE_3 = """
+<Float64 name="u" valueReference="1" causality="input" start="0"/>
+<Float64 name="du" valueReference="2" causality="input" start="0" derivative="1"/>"""
+TICK = """<Clock name="tick" valueReference="1" causality="input"
+  intervalVariability="triggered"/>"""
+CLOCKED_3 = f"""{TICK}
+<Int32 name="y" valueReference="5" causality="output" clocks="1" previous="6"/>
+<Int32 name="before" valueReference="6" clocks="1" initial="exact" start="0"/>"""
+CLOCKED_STRUCTURE_3 = """<Output valueReference="5" dependencies=""/>
+  <ClockedState valueReference="5" dependencies="1"/>"""
+STREAMED_3 = """
+<Float64 name="flow" valueReference="1" causality="input" start="0"/>
+<Float64 name="in" valueReference="2" causality="input" start="0"/>
+<Float64 name="out" valueReference="3" causality="parameter" variability="fixed" start="0"/>"""
+STREAM_3 = b"""<?xml version="1.0" encoding="UTF-8"?>
+<fmiTerminalsAndIcons fmiVersion="3.0"><Terminals><Terminal name="port" matchingRule="plug">
+  <TerminalMemberVariable variableName="flow" memberName="m" variableKind="inflow"/>
+  <TerminalStreamMemberVariable inStreamMemberName="a" outStreamMemberName="b"
+    inStreamVariableName="in" outStreamVariableName="out"/></Terminal></Terminals>
+</fmiTerminalsAndIcons>
+"""
+
 UNUSUAL: dict[str, dict[str, bytes]] = {
     "units": build_fmi_2(head=UNITS_2, variables=OUTPUT_2.format(unit=' unit="°C"')),
     "types": build_fmi_2(head=RADIAN + TYPES_2, variables=TYPED_2),
@@ -395,6 +421,10 @@ UNUSUAL: dict[str, dict[str, bytes]] = {
     "annotations of FMI 3": build_fmi_3(tail=ANNOTATED_3),
     "patch version": build_fmi_3(version="3.0.2"),
     "files of FMI 3": build_fmi_3(files={**EXTRA_FILES, "documentation/licenses/LICENSE": b""}),
+    "sizes by a constant": build_fmi_3(variables=SIZED_3),
+    "derivative of an input": build_fmi_3(kinds=EXCHANGE_3, variables=SLOPE_3),
+    "clocked output": build_fmi_3(variables=CLOCKED_3, structure=CLOCKED_STRUCTURE_3),
+    "streams": build_fmi_3(variables=STREAMED_3, files={ICON: STREAM_3}),
     "log categories of FMI 3": build_fmi_3(
         head='<LogCategories><Category name="logEvents"/></LogCategories>'
         '<DefaultExperiment tolerance="1e-12"/>'
@@ -495,6 +525,51 @@ VIOLATIONS: dict[str, dict[str, bytes]] = {
     "structure-loops advice": build_fmi_2(
         variables=Y_2 + define_real("u", 1, 'causality="input"', 'start="0"'),
         structure=OUTPUTS_2.replace(' dependencies=""', "")),
+    "type-unit error": build_fmi_2(head=define_types(define_type("T", '<Real unit="kg"/>'))),
+    "variable-name error": build_fmi_2(variables=Y_2 + define_real("", 1)),
+    "variable-range error type": build_fmi_2(
+        head=define_types(define_type("T", '<Real min="2" max="1"/>'))),
+    "variable-attribute error": build_fmi_3(
+        kinds=EXCHANGE_3,
+        variables=STATES_3.replace('start="0"/>', 'start="0" reinit="true"/>'),
+        structure=STATES_STRUCTURE_3),
+    "variable-attribute error update": build_fmi_3(
+        variables=INTEGERS_3.replace('start="255"', 'start="255" intermediateUpdate="true"')),
+    "variable-clock error": build_fmi_3(
+        variables='<Int32 name="n" valueReference="1" clocks="0"/>'),
+    "variable-clock error interval": build_fmi_3(
+        variables=TICK.replace("triggered", "constant")),
+    "variable-clock error zero": build_fmi_3(
+        variables=CLOCKS_3.replace("0.01", "0"), structure=CLOCKS_STRUCTURE_3),
+    "variable-clock error previous": build_fmi_3(
+        variables=CLOCKED_3.replace('previous="6"', 'previous="5"'),
+        structure=CLOCKED_STRUCTURE_3),
+    "variable-clock error continuous": build_fmi_3(
+        variables=TICK + '<Float64 name="x" valueReference="2" clocks="1"/>'),
+    "variable-clock error priority": build_fmi_3(kinds=SCHEDULED_3, variables=TICK),
+    "variable-size error reference": build_fmi_3(
+        variables=SIZED_3.replace('variability="constant"', 'causality="local"', 1)),
+    "variable-size error zero": build_fmi_3(
+        variables=SIZED_3.replace('start="3"', 'start="0"')),
+    "variable-size error both": build_fmi_3(
+        variables=SIZED_3.replace("<Dimension ", '<Dimension start="3" ')),
+    "structure-kind error": build_fmi_2(
+        kinds=BOTH_2, variables=STATES_2, structure=STATES_STRUCTURE_2.replace(
+            'index="5"', 'index="5" dependencies="1" dependenciesKind="fixed"')),
+    "structure-clocks error": build_fmi_3(
+        variables=CLOCKED_3, structure='<Output valueReference="5" dependencies=""/>'),
+    "structure-index error clocked": build_fmi_3(structure='<ClockedState valueReference="77"/>'),
+    "structure-dependency error": build_fmi_3(
+        kinds=EXCHANGE_3, variables=STATES_3, structure=STATES_STRUCTURE_3.replace(
+            'valueReference="2" dependencies="10"', 'valueReference="2" dependencies="77"')),
+    "structure-derivatives error event": build_fmi_3(
+        variables=INTEGERS_3, structure='<EventIndicator valueReference="1"/>'),
+    "terminal-member error stream": build_fmi_3(
+        variables=STREAMED_3, files={ICON: STREAM_3.replace(b'"out"', b'"outer"')}),
+    "terminal-member error name": build_fmi_3(
+        variables=STREAMED_3, files={ICON: STREAM_3.replace(b'memberName="m"', b"")}),
+    "fmpy error display unit": build_fmi_3(
+        head=UNITS_3, variables=UNSTARTED_3.replace("/>", ' start="0" unit="K" displayUnit="F"/>')),
     "terminal-twice error": build_fmi_3(files={ICON: PIN % (b"", 2 * (TERMINAL % b""))}),
     "terminal-member error": build_fmi_3(files={ICON: PIN % (b"", NO_MEMBER)}),
     "terminal-icon warning": build_fmi_3(files={ICON: PIN % (NO_ICON, TERMINAL % b"")}),

@@ -117,7 +117,7 @@ def test_findings_of_fmpy_need_no_rule(change, expected, xml, tmp_path):
     change(xml)
     assert sentences(xml) == ([LOOPS] if "If dependenciesKind" in expected else [])
     reader = SimpleNamespace(run=lambda _, file, _seconds: readers.validate(str(file)))
-    found, skipped = external.fmpy(write(tmp_path / "F.fmu", {MODEL: xml.bytes()}), reader)
+    found, skipped = external.fmpy(write(tmp_path / "F.fmu", {MODEL: xml.bytes()}), reader, 2)
     assert any(expected in text for _, text in found), found
     assert skipped == []
     if "It " in expected:

@@ -42,7 +42,7 @@ def bad(source_fmu, tmp_path):
     )
 
 
-RULE_COUNT = 59
+RULE_COUNT = 65
 RECORD = "record: unchanged since its export."
 PLATFORMS = "platforms: linux64; no binary for tools on Windows and macOS."
 PROBLEM = "modelDescription.xml: it holds '/home/anna/x'"

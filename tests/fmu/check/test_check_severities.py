@@ -69,7 +69,7 @@ def test_violations_have_their_severity(change, files, source_fmu, tmp_path, req
 @pytest.mark.ci
 @pytest.mark.parametrize(("case", "files"), fmu_cases.VIOLATIONS.items())
 def test_planted_violations_are_found(case, files, tmp_path):
-    name, severity = case.split(" ")
+    name, severity, *_ = case.split(" ")
     found = check(write(tmp_path / "F.fmu", files)).problems
     assert {f.severity for f in found if f.check.partition(":")[0] == name} == {severity}
 
