@@ -248,11 +248,15 @@ class FrictionLaw:
 
     def __post_init__(self) -> None:
         coefficient_names = [quantity.name for quantity in self.form.coefficients]
-        if sorted(coefficient_names) != sorted(self.values):
-            wrong_name = sorted(set(coefficient_names) ^ set(self.values))[0]
-            defect = "missing" if wrong_name in coefficient_names else "unknown"
+        missing_names = sorted(set(coefficient_names) - set(self.values))
+        unknown_names = sorted(set(self.values) - set(coefficient_names))
+        if missing_names or unknown_names:
+            # Of a mistyped name, one is the other.
+            defects = [f"'{name}' is missing" for name in missing_names[:1]]
+            defects += [f"'{name}' is unknown" for name in unknown_names[:1]]
+            wrong_name = sorted([*missing_names, *unknown_names])[0]
             raise ArtifactError(
-                f"law '{self.name}': coefficient '{wrong_name}' is {defect}; expected "
+                f"law '{self.name}': coefficient {' and '.join(defects)}; expected "
                 f"{', '.join(coefficient_names)}.",
                 code="law.coefficient",
                 key=f"coefficients.{wrong_name}",

@@ -130,7 +130,10 @@ def test_a_law_is_frozen() -> None:
             {"a": 1.0, "r": 2.0, "zeta": 3.0},
             "law 'test': coefficient 'zeta' is unknown; expected a, r.",
         ),
-        ({"a": 1.0, "R": 2.0}, "law 'test': coefficient 'R' is unknown; expected a, r."),
+        (
+            {"a": 1.0, "R": 2.0},
+            "law 'test': coefficient 'r' is missing and 'R' is unknown; expected a, r.",
+        ),
         ({"a": float("nan"), "r": 2.0}, "law 'test': coefficient 'a' is nan."),
         ({"a": 1.0, "r": float("inf")}, "law 'test': coefficient 'r' is inf."),
         ({"a": 1.0, "r": -float("inf")}, "law 'test': coefficient 'r' is -inf."),
