@@ -376,9 +376,11 @@ class Variables:
             items = _items(variable)
         if variable.type == "Integer" and not items:
             items = {m[2]: int(m[1]) for m in _CHOICE.finditer(variable.description or "")}
-        if value not in items:
+        numbers = {str(number): number for number in items.values()}  # as some tools write them
+        choice = items.get(value, numbers.get(value))
+        if choice is None:
             constraint = "it has no choices"
             if items:
                 constraint = f"it must be one of {', '.join(items)}"
             raise SimulationError(f"{self._fmu}: '{name}' cannot be '{value}'; {constraint}.")
-        return items[value]
+        return choice

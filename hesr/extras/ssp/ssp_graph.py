@@ -15,6 +15,7 @@ from fmu_src.run.variables import SI, Variables
 from hesr.extras.ssp.contents import UnitExponents
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.findings import caution, log_findings
+from hesr_model.support.ledger import find_close_names, format_suggestion
 from hesr_model.support.text import quote
 
 _NAME: TypeAdapter[str] = TypeAdapter(Name)
@@ -76,17 +77,20 @@ class Transformation:
 
     def apply(self, value: Any, where: str) -> Any:
         """Return a transformed parameter; values outside the table keep theirs."""
-        try:
-            if self.kind == "Linear":
+        if self.kind == "Linear":
+            try:
                 return self.factor * value + self.offset
-            mapped_text = self.table[str(value)]
-            if self.kind in ("Boolean", "Enumeration"):
-                return mapped_text
-            return int(mapped_text)
-        except KeyError:
-            return value
-        except (TypeError, ValueError) as error:
-            raise ConfigError(f"{where}: its transformation does not fit {value!r}.") from error
+            except TypeError as error:
+                sentence = f"{where}: its transformation does not fit {value!r}."
+                raise ConfigError(sentence) from error
+        text = str(value)
+        if text in self.table:
+            return self.table[text]
+        if self.kind == "Enumeration":
+            hint = format_suggestion(find_close_names(text, self.table))
+            if hint:
+                raise ConfigError(f"{where}: its transformation has no '{text}'; {hint}")
+        return value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -302,12 +306,42 @@ def read_number(node: ET.Element, name: str, default: float, where: str) -> floa
     if text is None:
         return default
     try:
-        parsed_number = float(text)
+        parsed_number = parse_float(text)
     except ValueError:
         parsed_number = nan
     if not isfinite(parsed_number):
         raise ConfigError(f"{where}: {name} is '{text}'; it must be a number.")
     return parsed_number
+
+
+def parse_float(text: str) -> float:
+    """Return a number; raise ValueError for what Python reads as one, but not XML."""
+    _require_xml_digits(text)
+    return float(text)
+
+
+def parse_integer(text: str) -> int:
+    """Return an integer; raise ValueError for what Python reads as one, but not XML."""
+    _require_xml_digits(text)
+    return int(text)
+
+
+def _require_xml_digits(text: str) -> None:
+    if "_" in text or not text.isascii():
+        raise ValueError(text)
+
+
+def read_boolean(text: str, where: str) -> bool:
+    """Return a Boolean, in any case of letters; raise ConfigError for other text."""
+    word = text.strip().lower()
+    if word not in (*TRUE, *FALSE):
+        raise ConfigError(f"{where} is '{text}'; write true or false.")
+    return word in TRUE
+
+
+def suggest(name: str, candidates: Iterable[str], default: str) -> str:
+    """Return the end of a refusal: names that may have been meant, or a default."""
+    return format_suggestion(find_close_names(name, candidates)) or f"{default}."
 
 
 def read_transformation(node: ET.Element, where: str) -> Transformation | None:
@@ -316,18 +350,32 @@ def read_transformation(node: ET.Element, where: str) -> Transformation | None:
         kind, marker, _ = child.tag.rpartition("}")[2].partition("Transformation")
         if marker:
             kind = kind.removesuffix("Mapping")
-            table: dict[str, Any] = {
-                entry.get("source", ""): entry.get("target", "") for entry in child
-            }
-            if kind == "Boolean":
-                table = {
-                    str(source_text in TRUE): target_text in TRUE
-                    for source_text, target_text in table.items()
-                }
             return Transformation(
                 kind=kind,
                 factor=read_number(child, "factor", 1.0, where),
                 offset=read_number(child, "offset", 0.0, where),
-                table=table,
+                table=dict(
+                    _read_entry(entry, kind, where) for entry in child.findall("{*}MapEntry")
+                ),
             )
     return None
+
+
+def _read_entry(entry: ET.Element, kind: str, where: str) -> tuple[str, Any]:
+    """Return the source of a map entry as Python writes it, and its target."""
+    source = entry.get("source")
+    target = entry.get("target")
+    where = f"{where}: the map entry '{source}' = '{target}'"
+    if source is None or target is None:
+        raise ConfigError(f"{where} needs a source and a target.")
+    if kind == "Boolean":
+        return (
+            str(read_boolean(source, f"{where}: source")),
+            read_boolean(target, f"{where}: target"),
+        )
+    if kind == "Integer":
+        try:
+            return str(parse_integer(source)), parse_integer(target)
+        except ValueError as error:
+            raise ConfigError(f"{where} needs two integers.") from error
+    return source, target

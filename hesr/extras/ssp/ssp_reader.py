@@ -1,7 +1,7 @@
 """Systems of FMUs read from an SSP of any tool."""
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from math import ceil, isfinite
@@ -16,7 +16,6 @@ from fmu_src.run.archive import MAX_ENTRY_BYTES, MAX_TEXT_BYTES, Archive
 from fmu_src.run.master import Order
 from fmu_src.run.variables import Variables, model_description
 from hesr.extras.ssp.contents import (
-    COUPLING,
     COUPLING_ANNOTATION,
     NAMESPACES,
     SSD,
@@ -24,8 +23,6 @@ from hesr.extras.ssp.contents import (
     read_units,
 )
 from hesr.extras.ssp.ssp_graph import (
-    FALSE,
-    TRUE,
     ConnectorGraph,
     ConnectorName,
     ElementPath,
@@ -36,21 +33,26 @@ from hesr.extras.ssp.ssp_graph import (
     convert_to_unit,
     find_conversion,
     format_connector,
+    parse_float,
+    parse_integer,
+    read_boolean,
     read_number,
     read_transformation,
     safe_names,
+    suggest,
 )
 from hesr.extras.ssp.ssp_times import fit_hint, fit_stop, read_step, require_times
 from hesr.extras.ssp.vocabulary import IRRELEVANT, USED
 from hesr_model.errors import ArgumentError, ConfigError, HesrError, SimulationError
 from hesr_model.support.files import scratch_folder
-from hesr_model.support.ledger import Ledger
+from hesr_model.support.ledger import Ledger, get_local_name
 from hesr_model.support.text import join_with_or
 from hesr_model.support.xml_files import parse_xml
 
 _PREFIXES = {key.removeprefix("xmlns:"): uri for key, uri in NAMESPACES.items()}
 _PREFIXES["ssm"] = _PREFIXES["ssv"].replace("Values", "Mapping")
-_COUPLING = f"ssd:Annotations/ssc:Annotation[@type='{COUPLING_ANNOTATION}']/{{{COUPLING}}}Coupling"
+# Names of elements are local, since their prefix does not change their meaning here.
+_COUPLING = f"{{*}}Annotations/{{*}}Annotation[@type='{COUPLING_ANNOTATION}']/{{*}}Coupling"
 # Steps in annotations of the engines, in any namespace because tools differ.
 _STEP_ANNOTATIONS = (
     (".//{*}FixedStepAlgorithm", "baseStepSize"),
@@ -60,6 +62,11 @@ _STEP_ANNOTATIONS = (
 _DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+(e[+-]?\d+)?\s*", re.IGNORECASE)
 _MAX_FILE_NAME = 100  # characters
 _DEFAULT_ROWS = 500  # if neither the SSP nor its FMUs name a step
+_CONNECTOR_KINDS = (
+    *("", "input", "output", "inout", "parameter", "calculatedParameter"),
+    *("structuralParameter", "constant", "local"),
+)
+_SOURCE_BASES = ("", "SSD", "component")
 _SOURCE_KINDS = ("output", "local", "calculatedParameter", "constant")
 _SYSTEM_SOURCE_KINDS = ("input", "parameter", "structuralParameter")
 """Kinds of connectors that give values: of elements, and of the enclosing system."""
@@ -134,12 +141,16 @@ class _Reader:
                 return self.archive.read(member, size_limit)
         raise self.build_error(f"{where}{name} is missing.")
 
-    def parse_member(self, name: str, where: str = "") -> ET.Element:
+    def parse_member(self, name: str, kind: str, where: str = "") -> ET.Element:
+        """Return the root of an XML file, an element of a kind."""
         try:
             data = self.read_member(name, where, MAX_TEXT_BYTES)
             root = parse_xml(data, _PREFIXES)
         except (ET.ParseError, LookupError, ValueError) as error:  # or an unknown encoding
             raise self.build_error(f"{where}{name} is not valid XML ({error}).") from error
+        root_kind = get_local_name(root)
+        if root_kind != kind:
+            raise self.build_error(f"{where}{name} is a {root_kind}; it must be a {kind}.")
         ledger = Ledger(f"{self.path}: {name}", "part")
         ledger.compare_elements(root, USED, IRRELEVANT)
         ledger.require_nothing_meant()
@@ -151,6 +162,14 @@ class _Reader:
             raise self.build_error(f"{where}: attribute '{name}' is missing.")
         return value
 
+    def read_choice(self, node: ET.Element, name: str, choices: Sequence[str], where: str) -> str:
+        """Return an attribute that has one of several values, the first by default."""
+        value = node.get(name, choices[0])
+        if value not in choices:
+            hint = suggest(value, choices, f"it must be {join_with_or(choices[1:])}")
+            raise self.build_error(f"{where}: {name} is '{value}'; {hint}")
+        return value
+
     def build_refusal(self, subject: str) -> UnsupportedError:
         return UnsupportedError(f"{self.path}: {subject} not supported.")
 
@@ -158,11 +177,12 @@ class _Reader:
         self, times: Mapping[str, float | None], start_values: Mapping[str, Any]
     ) -> dict[str, Any]:
         """Return the data of a `SystemSpec`: all components on one level, and their signals."""
-        root = self.parse_member(SSD)
-        system = _find_element(root, "ssd:System")
-        if system is None:
-            raise self.build_error(f"{SSD} contains no system.")
-        units = read_units(_find_elements(root, "ssd:Units/ssc:Unit"), f"{self.path}: {SSD}")
+        root = self.parse_member(SSD, "SystemStructureDescription")
+        systems = root.findall("{*}System")
+        if len(systems) != 1:
+            raise self.build_error(f"{SSD} contains {len(systems)} systems; it must be one.")
+        system = systems[0]
+        units = read_units(root.findall("{*}Units/{*}Unit"), f"{self.path}: {SSD}")
         self.read_elements(system, (), units)
         self.apply_parameters(system, ())
         if not self.fmus:
@@ -170,8 +190,9 @@ class _Reader:
         self.parameters.require_nothing_meant()
         for name, value in start_values.items():
             if not self.assign((), name, ParameterValue(value=value)):
+                hint = suggest(name, self.list_parameters(()), "see its FMUs")
                 raise ArgumentError(
-                    f"{self.path}: 'set': '{name}' is not a variable of the system."
+                    f"{self.path}: 'set': '{name}' is not a variable of the system; {hint}"
                 )
         # Names of elements may contain dots.
         names = safe_names("\0".join(element_path) for element_path in self.fmus)
@@ -225,7 +246,7 @@ class _Reader:
 
     def choose_times(self, root: ET.Element, times: Mapping[str, float | None]) -> dict[str, Any]:
         """Return the times of a run [s], those of the default experiment by default."""
-        experiment = _find_element(root, "ssd:DefaultExperiment")
+        experiment = root.find("{*}DefaultExperiment")
         if experiment is None:
             experiment = ET.Element("none")
         start_time = times.get("start")
@@ -273,7 +294,7 @@ class _Reader:
 
     def read_order(self, system: ET.Element) -> dict[str, str]:
         """Return the order of the coupling in our annotation; SSPs of other tools have none."""
-        coupling = _find_element(system, _COUPLING)
+        coupling = system.find(_COUPLING)
         if coupling is None:
             return {}
         order = self.read_attribute(coupling, "order", SSD)
@@ -288,7 +309,7 @@ class _Reader:
         """Read connectors and elements of a system, then its connections."""
         self.element_paths.append(parent_path)
         self.read_connectors(system, parent_path, units)
-        for node in _find_elements(system, "ssd:Elements/*"):
+        for node in system.findall("{*}Elements/*"):
             name = self.read_attribute(node, "name", "an element")
             kind = node.tag.rpartition("}")[2]
             element_path = (*parent_path, name)
@@ -303,7 +324,7 @@ class _Reader:
                 self.apply_parameters(node, element_path)
             else:
                 raise self.build_refusal(f"element '{name}' is a {kind}, which is")
-        for node in _find_elements(system, "ssd:Connections/ssd:Connection"):
+        for node in system.findall("{*}Connections/{*}Connection"):
             self.read_connection(node, parent_path)
 
     def read_component(self, node: ET.Element, element_path: ElementPath) -> None:
@@ -336,16 +357,17 @@ class _Reader:
     def read_connectors(
         self, node: ET.Element, element_path: ElementPath, units: Mapping[str, Any]
     ) -> None:
-        type_prefix = f"{{{_PREFIXES['ssc']}}}"
-        for connector in _find_elements(node, "ssd:Connectors/ssd:Connector"):
+        for connector in node.findall("{*}Connectors/{*}Connector"):
             name = self.read_attribute(connector, "name", f"a connector of '{node.get('name')}'")
-            for dimension in ("ssc:Dimension", "ssd:Dimension"):
-                if _find_element(connector, dimension) is not None:
-                    end = format_connector((element_path, name))
-                    raise self.build_refusal(f"connector '{end}' is an array, which is")
-            types = [child for child in connector if child.tag.startswith(type_prefix)]
-            unit_name = types[0].get("unit") if types else None
-            self.graph.kinds[element_path, name] = connector.get("kind", "")
+            where = f"connector '{format_connector((element_path, name))}'"
+            if connector.find("{*}Dimension") is not None:
+                raise self.build_refusal(f"{where} is an array, which is")
+            kind = self.read_choice(connector, "kind", _CONNECTOR_KINDS, where)
+            if not kind and element_path in self.fmus:  # SSP 2.0 leaves it to the FMU
+                kind = self.graph.variables[element_path][name].causality
+            unit_names = [child.get("unit") for child in connector]
+            unit_name = next(filter(None, unit_names), None)
+            self.graph.kinds[element_path, name] = kind
             self.graph.units[element_path, name] = _find_unit(unit_name, units)
 
     def read_connection(self, node: ET.Element, system_path: ElementPath) -> None:
@@ -358,7 +380,7 @@ class _Reader:
         where = f"connection '{format_connector(target)}' = '{format_connector(source)}'"
         hop = Hop(
             target=target,
-            suppressed=node.get("suppressUnitConversion") in TRUE,
+            suppressed=_reads_suppressed(node, where),
             transformation=read_transformation(node, where),
         )
         self.graph.add(source, hop)
@@ -373,9 +395,13 @@ class _Reader:
         name = self.read_attribute(node, f"{end}Connector", "a connection")
         where = f"connection of '{format_connector((element_path, name))}'"
         if element_path not in self.element_paths:
-            raise self.build_error(f"{where}: '{element}' is not a component of the system.")
+            names = [path[-1] for path in self.element_paths if path[:-1] == system_path != path]
+            hint = suggest(element or "", names, f"its components are {', '.join(names)}")
+            raise self.build_error(f"{where}: '{element}' is not a component of the system; {hint}")
         if element_path not in self.fmus and (element_path, name) not in self.graph.kinds:
-            raise self.build_error(f"{where}: the system has no such connector.")
+            names = [connector for path, connector in self.graph.kinds if path == element_path]
+            hint = suggest(name, names, "add it")
+            raise self.build_error(f"{where}: the system has no such connector; {hint}")
         if node.get(f"{end}Indices"):
             raise self.build_refusal(f"{where}: an index is")
         return element_path, name
@@ -428,14 +454,14 @@ class _Reader:
         """Apply the parameter bindings of an element, which replace those of inner ones."""
         kind = "component" if element_path in self.fmus else "system"
         where = f"{kind} '{'.'.join(element_path) or node.get('name')}'"
-        for binding in _find_elements(node, "ssd:ParameterBindings/ssd:ParameterBinding"):
-            if binding.get("sourceBase") == "component":
+        for binding in node.findall("{*}ParameterBindings/{*}ParameterBinding"):
+            base = self.read_choice(binding, "sourceBase", _SOURCE_BASES, where)
+            if base == "component":
                 raise self.build_refusal(f"{where}: a parameter source inside an FMU is")
-            source = binding.get("source")
-            if source is None:
-                parameter_sets = _find_elements(binding, "ssd:ParameterValues/ssv:ParameterSet")
-            else:
-                parameter_sets = [self.parse_member(source, f"{where}: ")]
+            parameter_sets = binding.findall("{*}ParameterValues/{*}ParameterSet")
+            if not parameter_sets:
+                source = self.read_attribute(binding, "source", f"{where}: a parameter binding")
+                parameter_sets = [self.parse_member(source, "ParameterSet", f"{where}: ")]
             values = self.read_values(parameter_sets, binding.get("prefix", ""), where)
             mapping = self.read_mapping(binding, where)
             if mapping is not None:
@@ -467,10 +493,8 @@ class _Reader:
         """Return names with a prefix, and values, in the order of the file."""
         values = []
         for parameter_set in parameter_sets:
-            units = read_units(
-                _find_elements(parameter_set, "ssv:Units/ssc:Unit"), f"{self.path}: {where}"
-            )
-            for parameter in _find_elements(parameter_set, "ssv:Parameters/ssv:Parameter"):
+            units = read_units(parameter_set.findall("{*}Units/{*}Unit"), f"{self.path}: {where}")
+            for parameter in parameter_set.findall("{*}Parameters/{*}Parameter"):
                 name = self.read_attribute(parameter, "name", f"{where}: a parameter")
                 value = self.read_value(parameter, units, f"{where}: parameter '{name}'")
                 values.append((prefix + name, value))
@@ -507,21 +531,22 @@ class _Reader:
         self, binding: ET.Element, where: str
     ) -> dict[str, list[_MappingTarget]] | None:
         """Return the targets of each name of a parameter mapping; None without a mapping."""
-        node = _find_element(binding, "ssd:ParameterMapping")
+        node = binding.find("{*}ParameterMapping")
         if node is None:
             return None
-        if node.get("sourceBase") == "component":
+        if self.read_choice(node, "sourceBase", _SOURCE_BASES, where) == "component":
             raise self.build_refusal(f"{where}: a parameter mapping inside an FMU is")
-        source = node.get("source")
-        if source is not None:
-            node = self.parse_member(source, f"{where}: ")
+        if node.find("{*}MappingEntry") is None and node.find("{*}ParameterMapping") is None:
+            source = self.read_attribute(node, "source", f"{where}: a parameter mapping")
+            node = self.parse_member(source, "ParameterMapping", f"{where}: ")
         targets_by_name: dict[str, list[_MappingTarget]] = {}
-        for entry in node.iter(f"{{{_PREFIXES['ssm']}}}MappingEntry"):
+        for entry in node.findall(".//{*}MappingEntry"):
             name = self.read_attribute(entry, "source", f"{where}: a mapping")
+            entry_place = f"{where}: mapping of '{name}'"
             target = _MappingTarget(
                 name=self.read_attribute(entry, "target", f"{where}: a mapping"),
-                transformation=read_transformation(entry, f"{where}: mapping of '{name}'"),
-                suppressed=entry.get("suppressUnitConversion") in TRUE,
+                transformation=read_transformation(entry, entry_place),
+                suppressed=_reads_suppressed(entry, entry_place),
             )
             targets_by_name.setdefault(name, []).append(target)
         return targets_by_name
@@ -540,11 +565,9 @@ class _Reader:
         if kind in ("String", "Enumeration"):
             return ParameterValue(value=text)
         if kind == "Boolean":
-            if text.lower() not in (*TRUE, *FALSE):
-                raise self.build_error(f"{where} is '{text}'; write true or false.")
-            return ParameterValue(value=text.lower() in TRUE)
+            return ParameterValue(value=read_boolean(text, where))
         try:
-            number = int(text) if "Int" in kind else float(text)
+            number = parse_integer(text) if "Int" in kind else parse_float(text)
         except ValueError as error:
             sentence = f"{where} is '{text}', which is not of type {kind}"
             if _DECIMAL_COMMA.fullmatch(text):
@@ -633,6 +656,12 @@ class _Reader:
         return f"{component}.{connector}"
 
 
+def _reads_suppressed(node: ET.Element, where: str) -> bool:
+    """Return whether a connection or mapping converts no units."""
+    name = "suppressUnitConversion"
+    return read_boolean(node.get(name, "false"), f"{where}: {name}")
+
+
 def _convert_to_variable(
     parameter: ParameterValue, variables: Variables, element: str, where: str
 ) -> Any:
@@ -655,11 +684,3 @@ def _find_unit(unit_name: str | None, units: Mapping[str, UnitExponents]) -> Uni
 def _compose_prefix(inner_path: ElementPath, outer_path: ElementPath) -> str:
     """Return the names of elements between two, each with a dot, before those of variables."""
     return "".join(f"{name}." for name in inner_path[len(outer_path) :])
-
-
-def _find_element(node: ET.Element, path: str) -> ET.Element | None:
-    return node.find(path, _PREFIXES)
-
-
-def _find_elements(node: ET.Element, path: str) -> list[ET.Element]:
-    return node.findall(path, _PREFIXES)

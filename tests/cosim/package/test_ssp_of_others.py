@@ -273,6 +273,24 @@ def test_connectors_of_every_type_are_connected(ssp: Any, typed_fmu: Path) -> No
     assert found["b.bo"].dtype.kind == "b"
 
 
+@pytest.mark.parametrize("source", ["true", "True", "TRUE", "1"])
+def test_booleans_are_mapped_as_other_tools_write_them(
+    source: str, ssp: Any, typed_fmu: Path
+) -> None:
+    table = TABLE.format("Boolean", source, "False")
+    value = bindings(binding(more=inline(one("b", "Boolean", "true"))))
+    path = ssp(
+        system(
+            typed("a", value),
+            typed("b"),
+            wires=wire("a.bo", "b.b", table),
+        ),
+        {"resources/Typed.fmu": typed_fmu},
+    )
+    found = hesr.simulate(path, step=0.5).signals
+    assert (found["a.bo"][-1], found["b.bo"][-1]) == (True, False)
+
+
 def test_types_that_do_not_fit_are_refused(ssp: Any, typed_fmu: Path) -> None:
     path = ssp(
         system(typed("a"), typed("b"), wires=wire("a.ro", "b.i")),
@@ -305,6 +323,10 @@ def test_enumerations_are_mapped_by_name(ssp: Any, typed_fmu: Path, tmp_path: Pa
     )
     found = hesr.simulate(path, step=0.5).signals
     assert (found["a.io"][-1], found["b.io"][-1]) == (1, 2)
+    table = mapping("i", "i", TABLE.format("Enumeration", "lo", "high"))
+    own = typed("a", bindings(binding(more=inline(value) + table)))
+    with pytest.raises(ConfigError, match=r"has no 'low'; did you mean 'lo'\?"):
+        hesr.simulate(ssp(system(own), {"resources/Typed.fmu": changed}))
 
 
 def one(name: str, kind: str, value: str, unit: str = "") -> str:
@@ -452,7 +474,7 @@ def test_transformations_that_do_not_fit_are_refused(ssp: Any, typed_fmu: Path) 
         ),
         (
             system(typed("a"), more=bindings(table)),
-            "component 'a': parameter 'i': its transformation does not fit 3.",
+            "system 'root': mapping of 'n': the map entry '3' = 'x'",
         ),
     ):
         path = ssp(root, {"resources/Typed.fmu": typed_fmu})
@@ -488,6 +510,31 @@ REFUSED = {
     "binary": (system(lag("a", bindings(binding(more=inline(U.replace("Real", "Binary")))))),
                "type Binary, which is not supported"),
     "names": (system(lag("a"), lag("a")), "two elements are named 'a'."),
+    "systems": (system(lag("a")) + system(lag("b")), "contains 2 systems"),
+    "kind": (system(lag("a").replace('"output"', '"ouput"')),
+             "connector 'a.y': kind is 'ouput'; did you mean 'output'"),
+    "base": (system(lag("a", bindings(binding("x.ssv").replace(
+                 "source=", 'sourceBase="componnt" source=')))),
+             "component 'a': sourceBase is 'componnt'; did you mean 'component'?"),
+    "no source": (system(lag("a", bindings(binding()))),
+                  "component 'a': a parameter binding: attribute 'source' is missing."),
+    "no mapping": (system(lag("a", bindings(binding(more=inline(U) + "<ssd:ParameterMapping/>")))),
+                   "component 'a': a parameter mapping: attribute 'source' is missing."),
+    "suppressed": (system(lag("a"), lag("b"),
+                          wires=wire("a.y", "b.u", suppressUnitConversion="yes")),
+                   "suppressUnitConversion is 'yes'; write true or false."),
+    "other element": (system(lag("first"), lag("second"), wires=wire("frist.y", "second.u")),
+                "a component of the system; did you mean 'first'?"),
+    "connector": (system(lag("a"), ends=connector("speed", "input"), wires=wire("sped", "a.u")),
+                  "the system has no such connector; did you mean 'speed'?"),
+    "digits": (system(lag("a", bindings(binding(more=inline(one("T", "Real", "1_0")))))),
+               "component 'a': parameter 'T' is '1_0', which is not of type Real."),
+    "entry": (system(lag("a"), lag("b"), wires=wire("a.y", "b.u", TABLE.format(
+                  "Boolean", "true", "x").replace(' target="x"', ""))),
+              "the map entry 'true' = 'None' needs a source and a target."),
+    "boolean": (system(lag("a"), lag("b"), wires=wire("a.y", "b.u", TABLE.format(
+                    "Boolean", "true", "no"))),
+                "the map entry 'true' = 'no': target is 'no'; write true or false."),
     "end": (system(lag("a"), wires=wire("c.y", "a.u")),
             "'c.y': 'c' is not a component"),
     "twice": (system(lag("a"), lag("b"), wires=wire("a.y", "b.u") + wire("b.y", "b.u")),
@@ -514,6 +561,28 @@ def test_other_parts_are_refused_by_name(root: str, sentence: str, ssp: Any) -> 
     with pytest.raises(ConfigError) as error:
         hesr.simulate(path)
     assert str(error.value) == OneSentence(f"{path}: ", sentence)
+
+
+def test_other_files_are_no_parameter_sets(ssp: Any) -> None:
+    path = ssp(
+        system(lag("a", bindings(binding("x.ssv")))), {"x.ssv": f"{MAPPING}</ssm:ParameterMapping>"}
+    )
+    with pytest.raises(
+        ConfigError, match=r"x\.ssv is a ParameterMapping; it must be a ParameterSet"
+    ):
+        hesr.simulate(path)
+
+
+def test_kinds_of_connectors_default_to_those_of_the_fmu(ssp: Any) -> None:
+    """SSP 2.0 allows that."""
+    path = ssp(
+        system(
+            lag("a").replace(' kind="output"', "").replace(' kind="input"', ""),
+            lag("b"),
+            wires=wire("b.u", "a.y"),
+        )
+    )
+    assert list(hesr.simulate(path).signals) == ["a.y", "b.y"]
 
 
 def test_unknown_names_and_missing_times_are_refused(ssp: Any) -> None:

@@ -80,6 +80,7 @@ def test_outputs_of_the_system_are_in_the_result(write: Write) -> None:
     [
         ((), "\\", "backslashes separate"),
         ((("resources/own.ssv", r"resources\own.ssv"),), "/", ""),
+        ((("ssd:Connect", "ssv:Connect"), ("<ssv:Real", "<ssd:Real")), "/", ""),
         ((("resources/Lag.fmu", r".\resources\Lag.fmu"),), "\\", "backslashes separate"),
         ((('unit="s"', 'unit="[s]"'),), "/", "'[s]' is not defined"),
         (((f' xmlns:ssv="{SSP}ParameterValues"', ""),), "/", ""),
@@ -253,8 +254,13 @@ def read_start(path: Path, values: dict[str, str]) -> dict[str, float | str]:
         return Variables(component.fmu, description, declared).expand_values(component.start)
 
 
-@pytest.mark.parametrize(("value", "number"), [("slow", 1), ("very fast", 5000000000)])
-def test_enumerations_of_fmi_3_are_set_by_name(value: str, number: int, write: Write) -> None:
+@pytest.mark.parametrize(
+    ("value", "number"),
+    [("slow", 1), ("very fast", 5000000000), ("1", 1), ("5000000000", 5000000000)],
+)
+def test_enumerations_of_fmi_3_are_set_by_name_or_number(
+    value: str, number: int, write: Write
+) -> None:
     """By a parameter set, and by the user."""
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w") as archive:
