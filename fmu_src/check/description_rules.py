@@ -403,7 +403,9 @@ def _listed_derivatives(model_description: ParsedDescription) -> Iterator[Proble
             listed_states.add(state)
             if variable.variability != "continuous":
                 not_continuous.append(variable)
-        elif variable.variability == "continuous" and variable.causality != "input":
+        elif variable.variability == "continuous" and not _is_derived_signal(
+            model_description, variable
+        ):
             unlisted.append((variable, state))
     missing = [variable for variable, state in unlisted if state not in listed_states]
     list_name = model_description.lists["Derivatives"]
@@ -417,6 +419,12 @@ def _listed_derivatives(model_description: ParsedDescription) -> Iterator[Proble
                 f"{list_name} {verb} {quote_names(variable.name for variable in variables)}; "
                 "it must list every derivative of a state and no other variable.",
             )
+
+
+def _is_derived_signal(model_description: ParsedDescription, variable: ParsedVariable) -> bool:
+    """Whether a derivative only tells importers that two inputs or two outputs belong together."""
+    base = model_description.variable(integer(variable.type_attributes.get("derivative")))
+    return base is not None and variable.causality == base.causality != "local"
 
 
 def _listed_events(model_description: ParsedDescription) -> Iterator[Problem]:

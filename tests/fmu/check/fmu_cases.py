@@ -337,7 +337,12 @@ SIZED_3 = """
   <Dimension valueReference="9"/></Float64>"""
 SLOPE_3 = """
 <Float64 name="u" valueReference="1" causality="input" start="0"/>
-<Float64 name="du" valueReference="2" causality="input" start="0" derivative="1"/>"""
+<Float64 name="du" valueReference="2" causality="input" start="0" derivative="1"/>
+<Float64 name="y" valueReference="3" causality="output" initial="exact" start="0"/>
+<Float64 name="dy" valueReference="4" causality="output" initial="exact" start="0"
+  derivative="3"/>"""
+SLOPE_STRUCTURE_3 = """<Output valueReference="3" dependencies="1"/>
+  <Output valueReference="4" dependencies="2"/>"""
 TICK = """<Clock name="tick" valueReference="1" causality="input"
   intervalVariability="triggered"/>"""
 CLOCKED_3 = f"""{TICK}
@@ -422,7 +427,9 @@ UNUSUAL: dict[str, dict[str, bytes]] = {
     "patch version": build_fmi_3(version="3.0.2"),
     "files of FMI 3": build_fmi_3(files={**EXTRA_FILES, "documentation/licenses/LICENSE": b""}),
     "sizes by a constant": build_fmi_3(variables=SIZED_3),
-    "derivative of an input": build_fmi_3(kinds=EXCHANGE_3, variables=SLOPE_3),
+    "derivatives of signals": build_fmi_3(
+        kinds=EXCHANGE_3, variables=SLOPE_3, structure=SLOPE_STRUCTURE_3
+    ),
     "clocked output": build_fmi_3(variables=CLOCKED_3, structure=CLOCKED_STRUCTURE_3),
     "streams": build_fmi_3(variables=STREAMED_3, files={ICON: STREAM_3}),
     "log categories of FMI 3": build_fmi_3(
