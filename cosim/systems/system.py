@@ -17,7 +17,7 @@ from hesr_model.support.text import to_toml
 from hesr_model.support.typed_files import Config, RelativePath
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$")]
-Signal = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*\.\S+$")]
+Signal = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*\..+$")]
 """`component.variable`; without an index all elements of a vector."""
 Value = bool | int | float | str | tuple[float, ...]
 

@@ -649,10 +649,8 @@ class _Reader:
         """Return the name of a component's connector in the flat system."""
         element_path, connector = signal
         component = component_names[element_path]
-        if not connector or re.search(r"\s", connector):
-            raise self.build_refusal(
-                f"connector '{connector}' of '{component}': names with spaces are"
-            )
+        if not connector:
+            raise self.build_error(f"a connector of '{component}' has an empty name.")
         return f"{component}.{connector}"
 
 

@@ -121,7 +121,7 @@ REFUSED: list[tuple[Changes, str]] = [
     ({SSD: [('startElement="a"', 'startElement="c d"')]},
      "'c d' is not a component"),
     ({SSD: [('startConnector="y"', 'startConnector="y 1"')]},
-     "connector 'y 1' of 'a': names with spaces are not supported."),
+     "there is no variable 'y 1'."),
 ]  # fmt: skip
 
 

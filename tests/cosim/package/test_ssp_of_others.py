@@ -412,6 +412,20 @@ def rewritten(fmu: Path, path: Path, *changes: tuple[str, str]) -> Path:
     return path
 
 
+def test_names_with_spaces_are_those_of_others(ssp: Any, lag_fmu: Path, tmp_path: Path) -> None:
+    """In an FMU alone and in an SSP; FMI allows all characters but tabs and line ends."""
+    name = "load torque, joint 1 (N.m)"
+    spaced = rewritten(lag_fmu, tmp_path / "Spaced.fmu", ('name="y"', f'name="{name}"'))
+    plain = hesr.simulate(lag_fmu, stop=1.0, step=0.1).signals["y"]
+    np.testing.assert_array_equal(hesr.simulate(spaced, stop=1.0, step=0.1).signals[name], plain)
+    first = lag("a", fmu="resources/Spaced.fmu").replace('"y"', f'"{name}"')
+    connection = wire("a.Y", "b.u").replace('"Y"', f'"{name}"')
+    path = ssp(system(first, lag("b"), wires=connection), {"resources/Spaced.fmu": spaced})
+    signals = hesr.simulate(path, step=0.1).signals
+    assert list(signals) == [f"a.{name}", "b.y"]
+    np.testing.assert_array_equal(signals[f"a.{name}"], plain)
+
+
 @pytest.mark.parametrize("relative", ["false", "true"])
 def test_differences_are_converted_without_offset(
     relative: str, ssp: Any, wired: Any, lag_fmu: Path, tmp_path: Path
