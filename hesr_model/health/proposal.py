@@ -49,7 +49,7 @@ from hesr_model.support.text import to_toml
 
 _ROUNDS = 4
 _CUTOFF_SHARE = 0.3  # low pass over the sample rate
-_PRINTED_LINE = re.compile(r"\[log\] (\w+ = (?:'[^']*'|[\w.+]+))")
+_PRINTED_LINE = re.compile(r"\[(log(?:\.units)?)\] (\w+ = (?:'[^']*'|[\w.+]+))")
 _REMEDIES = (
     ("sample_rate", "log.sample_rate", None),
     ("finite number is needed", "log.missing", "drop"),
@@ -385,9 +385,9 @@ def _read_logs(
 
 def _read_remedies(message: str) -> Iterator[tuple[str, Any]]:
     """Yield keys and values of the robot file that remove a refusal, first those it prints."""
-    for line in _PRINTED_LINE.findall(message):
+    for table, line in _PRINTED_LINE.findall(message):
         ((key, value),) = tomllib.loads(line).items()
-        yield f"log.{key}", value
+        yield f"{table}.{key}", value
     for words, key, value in _REMEDIES:
         if words in message:
             yield key, value

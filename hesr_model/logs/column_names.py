@@ -183,6 +183,11 @@ def read_unit(name: str) -> tuple[str, UnitSize] | None:
     return None
 
 
+def is_unit(text: str) -> bool:
+    """Return whether a text is a unit of a signal."""
+    return _normalise_unit(text) in _QUANTITY_OF_UNIT
+
+
 def simplify_name(name: str) -> str:
     """Return a name in lower case, without what is in brackets, as a unit."""
     return _BRACKETS.sub("", name).strip().lower()

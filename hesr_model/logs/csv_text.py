@@ -23,6 +23,7 @@ from typing import Any, BinaryIO, TextIO
 import numpy as np
 
 from hesr_model.errors import LogError
+from hesr_model.logs.column_names import is_unit
 from hesr_model.logs.json_records import convert_records, is_json
 from hesr_model.logs.log_table import (
     LogTable,
@@ -40,10 +41,11 @@ _MAX_CSV = 2**31 - 2  # bytes
 _MAX_LINE_LENGTH = 2**24  # characters
 _DELIMITERS = ",;\t "
 _COMMENT_MARKS = "#%"  # marks of comments, sometimes of a header
+_COMMENTS = "are numbers in comments"  # cause of rows that are left out
 _MAX_SEARCHED_LINES = 500  # lines searched for data
 _MIN_HEADERLESS_ROWS = 20  # rows of data that prove the absence of a header
 _UNIT_CELL = re.compile(r"[(\[].*[)\]]|rad|deg|°|s|ms|us|ns|A|mA|N\.?m|rad/s|deg/s|-|")
-_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?(\s*[^\d\s,]\S*)?")
 _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|\d{4}-\d\d-\d\d[T ][\d:.]+Z?")
 _TIME = re.compile(
     r"(1[7-9]|2[01])\d\d-\d\d-\d\d([T ]\d\d:\d\d(:\d\d(\.\d{1,9})?)?(Z|[+-]\d\d(:?\d\d)?)?)?"
@@ -57,6 +59,7 @@ _INFINITY = re.compile(r"([-+]?)1\.#INF0*")  # as Windows writes it
 _DURATION = re.compile(
     r"([-+]?\d+\.?\d*(?:[eE][-+]?\d+)?)\s*(s|sec|secs|seconds?|ms|msec|us|µs|ns|min)"
 )
+_QUANTITY = re.compile(r"([-+]?[\d.,]+(?:[eE][-+]?\d+)?)(?:\s+(\S.*)|([^\d\s.,]\S*))")
 _NANOSECONDS = {"m": 1e6, "u": 1e3, "µ": 1e3, "n": 1.0, "s": 1e9}  # by first letter; not of min
 _LIST = re.compile(r"(?:array\()?(?:'\w', ?)?[\[({]([^\[\](){}]*)[\])}]\)?")
 _CUT_NUMBER = re.compile(r".*([eE]|[-+.])")  # a number that goes on
@@ -85,14 +88,15 @@ def read_text(path: Path, names: Sequence[str] = (), content: bytes | None = Non
     _require_length(path, path.stat().st_size)
     content = _read_content(path) if content is None else content
     _require_length(path, len(content or b""))
-    return _join_chunks(path, _read_chunks(_find_dialect(path, content, names)))
+    dialect = _find_dialect(path, content, names)
+    return _join_chunks(dialect, _read_chunks(dialect))
 
 
 def text_pieces(path: Path, names: Sequence[str], max_rows: int) -> Iterator[LogTable]:
     """Yield the tables of successive lines, up to `max_rows` each; raises LogError."""
     dialect = _find_dialect(path, _read_content(path), names)
     yield from (
-        _join_chunks(path, [chunk]) for chunk in _read_chunks(dialect, max_rows) if chunk.numbers
+        _join_chunks(dialect, [chunk]) for chunk in _read_chunks(dialect, max_rows) if chunk.numbers
     )
 
 
@@ -117,6 +121,8 @@ class _Dialect:
     decimal: str
     header_line: int  # from 1; 0 without
     first_line: int  # of the rows
+    comment_marks: str = _COMMENT_MARKS
+    other_names: tuple[str, ...] = ()  # of what is no column
 
 
 def _open_text(path: Path, content: bytes | None, newline: str | None = None) -> TextIO:
@@ -190,11 +196,13 @@ def _find_dialect(path: Path, content: bytes | None, names: Sequence[str]) -> _D
         with _open_text(path, content) as file:
             if is_json(file.buffer.read(_START_BYTES)):
                 file.seek(0)
-                json_names, table = convert_records(path, file.read())
-                return _Dialect(path, table, json_names, ",", ".", header_line=0, first_line=1)
+                json_names, table, other_names = convert_records(path, file.read())
+                return _Dialect(path, table, json_names, ",", ".", 0, 1, "", other_names)
         with _open_text(path, content) as file:
             lines = enumerate(map(_strip_line, _read_lines(file)), start=1)
-            filled_lines = (numbered_line for numbered_line in lines if numbered_line[1])
+            filled_lines = (
+                numbered_line for numbered_line in lines if numbered_line[1].strip(_DELIMITERS)
+            )
             head = list(islice(filled_lines, _MAX_SEARCHED_LINES))
             header, data, delimiter = _find_table(path, head, names)
             rows = chain(
@@ -321,8 +329,22 @@ def _is_data(line: str, delimiter: str) -> bool:
     if line[0] in _COMMENT_MARKS or delimiter not in line:
         return False
     cells = [cell for cell in _split_cells(line, delimiter) if not _MISSING.fullmatch(cell)]
-    numbers = sum(bool(_NUMBER.fullmatch(cell) or _DURATION.fullmatch(cell)) for cell in cells)
+    numbers = sum(map(_is_number, cells))
     return numbers > 0 and 2 * numbers >= len(cells)
+
+
+def _is_number(cell: str) -> bool:
+    """Return whether a cell is a number, maybe with a unit."""
+    return bool(_NUMBER.fullmatch(cell) or _DURATION.fullmatch(cell)) or bool(_split_quantity(cell))
+
+
+def _split_quantity(cell: str) -> tuple[str, str] | None:
+    """Return number and unit of a cell such as "1.5 rad"; None without a known unit."""
+    match = _QUANTITY.fullmatch(cell)
+    if match is None:
+        return None
+    unit = match[2] or match[3]
+    return (match[1], unit) if is_unit(unit) else None
 
 
 def _has_length(cells: Sequence[str], length: int) -> bool:
@@ -393,6 +415,7 @@ class _Chunk:
     numbers: list[int]  # of the lines
     cells: list[Any]  # by column
     decimal: str
+    commented_count: int = 0  # rows of numbers in comments
 
 
 def _read_chunks(dialect: _Dialect, chunk_rows: int = 0) -> Iterator[_Chunk]:
@@ -418,13 +441,21 @@ def _read_chunks(dialect: _Dialect, chunk_rows: int = 0) -> Iterator[_Chunk]:
             lists = _ListCells()
             lines_below = enumerate(lines, start=dialect.first_line)
             chunk_rows = chunk_rows or max(1, _CHUNK_CELLS // len(names))
+            empty_rows: dict[int, str] = {}
             while chunk := list(islice(lines_below, chunk_rows)):
-                rows = {
-                    k: line
-                    for k, line in chunk
-                    if line.strip(f" \r\n{dialect.delimiter}")[:1] not in _COMMENT_MARKS
-                    and line.strip() != header_text
-                }
+                rows: dict[int, str] = {}
+                commented_count = 0
+                for k, line in chunk:
+                    text = line.strip(f" \r\n{dialect.delimiter}")
+                    if text and text[0] in dialect.comment_marks:
+                        plain_text = text.lstrip(_COMMENT_MARKS + " ")
+                        commented_count += _is_row_of(plain_text, dialect.delimiter, len(names))
+                    elif text and line.strip() != header_text:
+                        # Rows without a cell lack numbers, but for those at the end of a file.
+                        rows |= {**empty_rows, k: line}
+                        empty_rows.clear()
+                    elif not text and line.strip(" \r\n"):
+                        empty_rows[k] = line
                 _remove_torn_row(rows, dialect, len(names))
                 if rows:
                     columns = list(_parse_columns(rows, dialect, len(names)))
@@ -434,9 +465,16 @@ def _read_chunks(dialect: _Dialect, chunk_rows: int = 0) -> Iterator[_Chunk]:
                         list(rows),
                         [cells for _, cells in columns_by_name],
                         dialect.decimal,
+                        commented_count,
                     )
     except (UnicodeDecodeError, csv.Error) as error:
         raise _build_csv_error(dialect.path) from error
+
+
+def _is_row_of(text: str, delimiter: str, column_count: int) -> bool:
+    """Return whether a text has a number or a missing one for each column."""
+    is_whole = _count_cells(text, delimiter) == column_count
+    return is_whole and bool(text) and _is_row(text, delimiter)
 
 
 def _remove_torn_row(rows: dict[int, str], dialect: _Dialect, column_count: int) -> None:
@@ -505,24 +543,29 @@ def _parse_list(cell: str) -> list[float]:
     return []
 
 
-def _join_chunks(path: Path, chunks: Iterable[_Chunk]) -> LogTable:
+def _join_chunks(dialect: _Dialect, chunks: Iterable[_Chunk]) -> LogTable:
     numbers = array("q")
+    commented_count = 0
     names = list[str]()
-    columns: dict[int, Column] = defaultdict(Column)
+    columns: dict[int, Column] = defaultdict(partial(Column, reads_units=True))
     for chunk in chunks:
         names = chunk.names
         for k, cells in enumerate(chunk.cells):
             columns[k].add(cells, len(numbers), chunk.decimal)
         numbers.extend(chunk.numbers)
+        commented_count += chunk.commented_count
     arrays = [columns[k].concatenate() for k in range(len(names))]
     # Spreadsheets write cells of columns that were deleted.
     kept_columns = [k for k, name in enumerate(names) if name or not _is_empty(arrays[k])]
     return LogTable(
-        path,
+        dialect.path,
         tuple(names[k] for k in kept_columns),
         len(numbers),
         [arrays[k] for k in kept_columns].__getitem__,
+        dialect.other_names,
         line_numbers=numbers,
+        units={names[k]: columns[k].unit for k in kept_columns if columns[k].unit},
+        left_out={_COMMENTS: commented_count} if commented_count else {},
     )
 
 
@@ -564,37 +607,96 @@ def _parse_columns(rows: Mapping[int, str], dialect: _Dialect, column_count: int
 
 
 class Column:
-    """A growing column, whose type follows from all cells."""
+    """A growing column, whose type follows from all cells.
 
-    def __init__(self) -> None:
+    If it `reads_units`, cells such as "1.5 rad" are numbers, all in its `unit`.
+    """
+
+    def __init__(self, *, reads_units: bool = False) -> None:
+        self._reads_units = reads_units
         self._parts: list[Any] = []  # the last is None for text
         self._text_cell: TextCell | None = None  # first cell that is not a number
+        self._unit: str | None = None  # of the first cell; "" without one
+        self._other_unit_cell: TextCell | None = None  # first cell in another unit
+
+    @property
+    def unit(self) -> str:
+        """Unit of the cells as it is written; "" without one."""
+        return self._unit or ""
 
     def add(self, cells: Array | Sequence[str], first: int = 0, decimal: str = ".") -> None:
         """Append numbers, or the text from row `first`."""
         if self._parts and self._parts[-1] is None:
             return
-        if isinstance(cells, np.ndarray):
-            self._parts.append(cells)
-            return
-        part = _parse_numbers(cells, decimal)
-        if part is None:
-            cells = [_normalise_cell(cell) for cell in cells]
+        if not isinstance(cells, np.ndarray):
             part = _parse_numbers(cells, decimal)
-        if part is None:
-            k = next(k for k, cell in enumerate(cells) if _parse_numbers([cell], decimal) is None)
-            self._text_cell = self._text_cell or TextCell(index=first + k, text=cells[k])
-            part = _parse_times_or_truths([cell.strip() for cell in cells])
+            if part is None:
+                self._add_text([_normalise_cell(cell) for cell in cells], first, decimal)
+                return
+        else:
+            part = cells
+        self._add_numbers(part, first)
+
+    def _add_numbers(self, part: Array, first: int) -> None:
+        """Append numbers without a unit."""
+        if not np.isnan(part).all():
+            k = int(np.argmin(np.isnan(part)))
+            self._require_unit("", first + k, f"{part[k]:g}")
         self._parts.append(part)
+
+    def _add_text(self, cells: Sequence[str], first: int, decimal: str) -> None:
+        """Append cells of which not all are plain numbers."""
+        part = _parse_numbers(cells, decimal)
+        if part is not None:
+            self._add_numbers(part, first)
+            return
+        part = _parse_times_or_truths([cell.strip() for cell in cells])
+        if part is None and self._reads_units:
+            part = self._parse_quantities(cells, first, decimal)
+            if part is not None:
+                self._parts.append(part)
+                return
+        if self._text_cell is None:
+            k = next(k for k, cell in enumerate(cells) if _parse_numbers([cell], decimal) is None)
+            self._text_cell = _build_text_cell(first + k, cells[k])
+        self._parts.append(part)
+
+    def _parse_quantities(self, cells: Sequence[str], first: int, decimal: str) -> Array | None:
+        """Return the numbers of cells that may have units; None for other text."""
+        pairs = [_split_quantity(cell.strip()) or (cell, "") for cell in cells]
+        part = _parse_numbers([number for number, _ in pairs], decimal)
+        if part is None:
+            return None
+        for k, (number, unit) in enumerate(pairs):
+            if number != "nan":
+                self._require_unit(unit, first + k, cells[k].strip())
+        return part
+
+    def _require_unit(self, unit: str, index: int, text: str) -> None:
+        """Note the first cell in another unit than those before."""
+        if self._unit is None:
+            self._unit = unit
+        if unit == self._unit or self._other_unit_cell is not None:
+            return
+        expected = f"a number in '{self._unit}'" if self._unit else "a number without a unit"
+        self._other_unit_cell = TextCell(index=index, text=text, expected=expected)
 
     def concatenate(self) -> Array | TextCell:
         """Return all cells, or the first cell of text, also among times or truth values."""
+        if self._other_unit_cell is not None:
+            return self._other_unit_cell
         try:
             column = np.concatenate(self._parts)
         except (TypeError, ValueError):  # times and numbers; text; nothing
             return self._text_cell or np.empty(0)
         is_time_or_truth = column.dtype.kind in "mM" or np.isin(np.nan_to_num(column), (0, 1)).all()
         return self._text_cell if self._text_cell and not is_time_or_truth else column
+
+
+def _build_text_cell(index: int, text: str) -> TextCell:
+    if _DECIMAL_COMMA.fullmatch(text.strip()):
+        return TextCell(index=index, text=text, expected="a number with a decimal point")
+    return TextCell(index=index, text=text)
 
 
 def _normalise_cell(cell: str) -> str:

@@ -156,7 +156,8 @@ def _find_candidates(
     groups = [_Group(name, (name,)) for name in table.names]
     groups += [_Group(key, names) for key, names in _group_names(table.names, joints)]
     readings = {
-        group.key: read_name(group.key) or _read_bare_joint(group, joints) for group in groups
+        group.key: read_name(_label(table, group)) or _read_bare_joint(group, joints)
+        for group in groups
     }
     joint_count = len(joints) or _count_joints(groups, readings)
     candidates: dict[str, list[ColumnCandidate]] = {}
@@ -179,6 +180,13 @@ def _find_candidates(
         for quantity in quantities
         if quantity in candidates
     }
+
+
+def _label(table: LogTable, group: _Group) -> str:
+    """Return the key of columns, with the unit of their cells if they have one."""
+    units = {table.units.get(name, "") for name in group.names}
+    unit = units.pop()
+    return f"{group.key} [{unit}]" if unit and not units else group.key
 
 
 def _keep_stated(
@@ -445,7 +453,7 @@ def _describe_time(table: LogTable, name: str) -> str:
     """Return why a column that is named like time is none."""
     cells = table.arrays(table.names.index(name))
     if isinstance(cells, TextCell):
-        return f", '{name}' holds {cells.text!r}"
+        return f", '{name}' holds {cells.text!r} where {cells.expected} is needed"
     return f", '{name}' does not rise"
 
 

@@ -24,14 +24,15 @@ def is_json(start: bytes) -> bool:
     return b"{" in start and not beginning.strip(b" \t\r\n[")
 
 
-def convert_records(path: Path, text: str) -> tuple[tuple[str, ...], bytes]:
-    """Return names, and rows as CSV without a header, of JSON text; raises LogError.
+def convert_records(path: Path, text: str) -> tuple[tuple[str, ...], bytes, tuple[str, ...]]:
+    """Return names, rows as CSV without a header, and what else JSON text has; raises LogError.
 
     Names of inner objects are joined by dots, numbers of entries of lists by underscores.
     """
     rows: list[Row] = []
     names: dict[str, None] = {}
-    for record in _read_records(path, text):
+    records, other_names = _read_records(path, text)
+    for record in records:
         row = dict(_flatten("", record))
         names |= dict.fromkeys(row)
         require_columns(path, len(names))
@@ -45,15 +46,18 @@ def convert_records(path: Path, text: str) -> tuple[tuple[str, ...], bytes]:
         )
     file = io.StringIO()
     csv.DictWriter(file, list(names), restval="").writerows(rows)
-    return tuple(names), file.getvalue().encode()
+    return tuple(names), file.getvalue().encode(), tuple(other_names)
 
 
-def _read_records(path: Path, text: str) -> Sequence[Mapping[str, Any]]:
+Records = tuple[Sequence[Mapping[str, Any]], list[str]]  # and names of what is no record
+
+
+def _read_records(path: Path, text: str) -> Records:
     lines = text.rstrip("\0 \t\r\n").split("\n")
     with suppress(ValueError, RecursionError):
         first_record = _parse(lines[0])
         if isinstance(first_record, dict) and len(lines) > 1:
-            return list(_read_lines(path, lines, is_complete=text.endswith("\n")))
+            return list(_read_lines(path, lines, is_complete=text.endswith("\n"))), []
     try:
         return _find_records(_parse("\n".join(lines)))
     except (ValueError, RecursionError) as error:
@@ -69,8 +73,10 @@ def _read_lines(
     path: Path, lines: Sequence[str], *, is_complete: bool
 ) -> Iterator[Mapping[str, Any]]:
     for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
         try:
-            record = _parse(line.strip() or "{}")
+            record = _parse(line)
         except (ValueError, RecursionError):
             record = None
         if isinstance(record, dict):
@@ -91,26 +97,37 @@ def _parse(text: str) -> Any:
     return json.loads(text, parse_float=str, parse_int=str, parse_constant=str)
 
 
-def _find_records(data: Any) -> Sequence[Mapping[str, Any]]:
+def _find_records(data: Any) -> Records:
     """Return the longest list of objects in data, or lists by name as objects; else ValueError."""
-    columns = dict(_find_lists("", data))
+    values_by_name = dict(_find_values("", data))
+    columns = {name: values for name, values in values_by_name.items() if isinstance(values, list)}
     row_count = max(map(len, columns.values()), default=0)
     longest = {name: values for name, values in columns.items() if len(values) == row_count > 0}
-    for values in longest.values():
-        if all(isinstance(value, dict) for value in values):
-            return values
     if not longest:
         raise ValueError("no lists")
-    rows = zip(*longest.values(), strict=True)
-    return [dict(zip(longest, row, strict=True)) for row in rows]
+    rows: Sequence[Mapping[str, Any]] = [
+        dict(zip(longest, row, strict=True)) for row in zip(*longest.values(), strict=True)
+    ]
+    used_names = set(longest)
+    for name, values in longest.items():
+        if all(isinstance(value, dict) for value in values):
+            rows = values
+            used_names = {name}
+            break
+    others = []
+    for name, value in values_by_name.items():
+        if name not in used_names:
+            others.append(f"{name} ({len(value)} entries)" if name in columns else name)
+    return rows, others
 
 
-def _find_lists(name: str, data: Any) -> Iterator[tuple[str, list[Any]]]:
-    if isinstance(data, list):
-        yield name, data
-    elif isinstance(data, dict):
+def _find_values(name: str, data: Any) -> Iterator[tuple[str, Any]]:
+    """Yield lists and single values by their dotted names."""
+    if isinstance(data, dict):
         for key, value in data.items():
-            yield from _find_lists(join_key(name, key), value)
+            yield from _find_values(join_key(name, key), value)
+    else:
+        yield name, data
 
 
 def _flatten(name: str, value: Any) -> Iterator[tuple[str, str]]:

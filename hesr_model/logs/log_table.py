@@ -29,6 +29,7 @@ class TextCell:
 
     index: int
     text: str
+    expected: str = "a number"
 
 
 NO_NUMBERS = TextCell(index=0, text="no numbers")
@@ -42,7 +43,7 @@ class LogTable:
     Columns (N,) of `arrays` hold integers, floats (NaN for empty cells), times or durations; a
     `TextCell` replaces any other column. The rows of a CSV have `line_numbers`, its header is
     line 1. A piece of a file has `rows_before` it and the `first_piece`, whose first date is the
-    origin.
+    origin. `units` are those in the cells, by name; `left_out` are numbers of rows by cause.
     """
 
     path: Path
@@ -53,6 +54,8 @@ class LogTable:
     line_numbers: Sequence[int] = ()
     rows_before: int = 0
     first_piece: "LogTable | None" = None
+    units: Mapping[str, str] = field(default_factory=dict)
+    left_out: Mapping[str, int] = field(default_factory=dict)
     used: set[str] = field(default_factory=set)  # names that were looked up
 
     def __post_init__(self) -> None:
@@ -83,7 +86,12 @@ class LogTable:
                 where=self.path,
                 key="log.columns.names",
             )
-        return replace(self, names=tuple(names))
+        units = {
+            name: self.units[old_name]
+            for old_name, name in zip(self.names, names, strict=True)
+            if old_name in self.units
+        }
+        return replace(self, names=tuple(names), units=units)
 
     def hide_empty_columns(self) -> "LogTable":
         """Return the table without columns that have no number; messages mention them."""
@@ -193,7 +201,7 @@ class LogTable:
         if isinstance(cells, TextCell):
             raise LogError(
                 f"{self.path}: column '{name}', row {self.row(cells.index)}: {cells.text!r} where "
-                "a number is needed.",
+                f"{cells.expected} is needed.",
                 code="log.text",
                 where=self.path,
                 key=name,

@@ -88,4 +88,4 @@ def test_other_sheets_of_a_workbook_are_left_over(tmp_path: Path) -> None:
         sheet.append(row)
     book.save(tmp_path / "run.xlsx")
     (finding,) = find_left_over(tmp_path / "run.xlsx")
-    assert finding.found == Containing("1 item ", "'sheet notes'")
+    assert finding.found == Containing("1 item ", "'sheet notes (1 row)'")

@@ -373,3 +373,11 @@ def test_rows_of_a_bag_that_are_left_out_have_causes(tmp_path: Path) -> None:
     assert cause == Containing("after the messages of other joints")
     assert 15 <= count <= 20
     assert log.dropped == count
+
+
+def test_messages_of_a_faster_joint_are_counted(tmp_path: Path) -> None:
+    states = [message(k, JOINTS[k % 10 == 5 :][:1]) for k in range(N)]
+    log = Log.read(write(tmp_path / "bag", states), robot())
+    assert len(log.t) == 5
+    # Of the nine messages between two of the slower joint, the outer ones are interpolated.
+    assert log.left_out == {"lie between the messages of other joints": 28}

@@ -177,14 +177,87 @@ def test_a_printed_line_joins(tmp_path: Path) -> None:
     assert len(joined.t) > 0.9 * len(VALUES)
 
 
+def write_units(q: str, dq: str, tau: str, scale: float = 1.0) -> str:
+    """Cells of numbers and units; positions and velocities times a scale."""
+    rows = [
+        f"{row[0]:.6f},{scale * row[1]!r}{q},{scale * row[2]!r}{dq},{row[3]!r}{tau}"
+        for row in VALUES.tolist()
+    ]
+    return join_lines(rows)
+
+
+DEGREES = 180.0 / np.pi
+# Text, and the units that a robot file then has, but SI.
+UNITS: dict[str, tuple[str, dict[str, Any]]] = {
+    "SI": (write_units(" rad", " rad/s", " Nm"), {}),
+    "without blanks": (write_units("rad", "rad/s", "N.m"), {}),
+    "degrees": (write_units(" deg", " deg/s", " N m", DEGREES), {"q": "deg", "dq": "deg/s"}),
+    "signs": (write_units("°", "°/s", " N·m", DEGREES), {"q": "deg", "dq": "deg/s"}),
+    "a size": (write_units(" mrad", " mrad/s", " Nm", 1e3), {"q": 1e-3, "dq": 1e-3}),
+    "decimal commas": (
+        write_units(" deg", " deg/s", " Nm", DEGREES).replace(",", ";").replace(".", ","),
+        {"q": "deg", "dq": "deg/s"},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", UNITS)
+def test_units_in_cells_are_read(name: str, tmp_path: Path) -> None:
+    """The robot file then states them, and a robot file with others is refused with the line."""
+    text, units = UNITS[name]
+    path = tmp_path / "run.csv"
+    proposal = inspect(path, text)
+    (log,) = proposal.logs
+    np.testing.assert_allclose(log.q[:, 0], Q, atol=1e-9)
+    np.testing.assert_allclose(log.dq[:, 0], DQ, atol=1e-9)
+    np.testing.assert_allclose(log.tau[:, 0], TAU, atol=1e-9)
+    stated = {key: getattr(proposal.description.log.units, key) for key in units}
+    assert stated == units
+    for key in ("q", "dq"):
+        wrong = apply_changes(
+            proposal.description, {f"log.units.{key}": "rev" + "/s" * (key != "q")}
+        )
+        with pytest.raises(LogError) as refusal:
+            Log.read(path, wrong)
+        assert refusal.value.code == "log.unit_of_cells"
+        assert refusal.value.key == f"log.units.{key}"
+        ((line, value),) = re.findall(r"\[log\.units\] (\w+) = '?([^' ]+)", str(refusal.value))
+        right = float(value) if value[0].isdigit() else value
+        np.testing.assert_array_equal(
+            Log.read(path, apply_changes(wrong, {f"log.units.{line}": right})).q, log.q
+        )
+
+
+def test_units_in_cells_tell_the_quantity(tmp_path: Path) -> None:
+    """Currents are no torques, whatever their column is called."""
+    text = write_units(" rad", " rad/s", " A")
+    with pytest.raises(LogError) as refusal:
+        inspect(tmp_path / "run.csv", text)
+    assert (refusal.value.code, refusal.value.key) == ("log.unit_of_cells", "log.units.tau")
+    renamed = text.replace("tau1", "motor")
+    (log,) = inspect(tmp_path / "other.csv", renamed).logs
+    np.testing.assert_array_equal(log.tau[:, 0], TAU)  # with 1 N.m/A
+
+
 # Files with the sentence that names what they hold.
 REFUSED: dict[str, tuple[str, tuple[str, ...]]] = {
     "no torque in any row.csv": (
         join_lines([f"{line.rpartition(',')[0]},nan" for line in LINES]),
         ("'tau1' (torque)", "is missing", "tau1 (no numbers)")),
-    "a unit in a cell.csv": (
-        join_lines([line.replace(",", " deg,", 2).replace(" deg,", " s,", 1) for line in LINES]),
-        ("column 'q1'", " deg' where")),
+    "an unknown unit in a cell.csv": (
+        join_lines([line.replace(",", " vis,", 2).replace(" vis,", " s,", 1) for line in LINES]),
+        ("column 'q1'", " vis' where")),
+    "two units.csv": (
+        join_lines([line.replace(",", " deg," if k > 99 else " rad,", 2).replace(
+            " deg," if k > 99 else " rad,", ",", 1) for k, line in enumerate(LINES)]),
+        ("column 'q1', row 102", " deg' where", "in 'rad'")),
+    "a unit in some cells.csv": (
+        join_lines([f"{line} Nm" if k > 99 else line for k, line in enumerate(LINES)]),
+        ("column 'tau1', row 102", " Nm' where", "without a unit")),
+    "quoted decimal commas.csv": (
+        join_lines([f'{line.rpartition(",")[0]},"{TAU[k]:.6f}"'.replace(
+            f"{TAU[k]:.6f}", f"{TAU[k]:.6f}".replace(".", ",")) for k, line in enumerate(LINES)]),
+        ("column 'tau1', row 2", "'0,380", "decimal point")),
     "infinity.csv": (
         join_lines([line if k % 9 else f"{line.rpartition(',')[0]},1.#INF00"
                     for k, line in enumerate(LINES)]),

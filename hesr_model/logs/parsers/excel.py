@@ -13,6 +13,7 @@ from hesr_model.errors import LogError
 from hesr_model.logs.log_table import compute_max_bytes, readable
 from hesr_model.logs.parsers.items import build_item
 from hesr_model.support.child_main import Item
+from hesr_model.support.text import count_noun
 
 Row = tuple[Any, ...]
 
@@ -42,7 +43,10 @@ def parse(path: Path) -> Iterator[Item]:
         book.close()
         longest = max(rows_by_title, key=lambda title: len(rows_by_title[title]), default="")
         text = _format_rows(rows_by_title.pop(longest, []))
-        yield build_item([("text", np.frombuffer(text, np.uint8))], names=[list(rows_by_title)])
+        others = [
+            f"{title} ({count_noun(len(rows), 'row')})" for title, rows in rows_by_title.items()
+        ]
+        yield build_item([("text", np.frombuffer(text, np.uint8))], names=[others])
 
 
 def _read_rows(path: Path, sheet: Any, max_cells: int) -> list[Row]:
@@ -79,6 +83,5 @@ def _format_rows(rows: list[Row]) -> bytes:
     for row in rows:
         padded_row = dict(enumerate(row))
         cells = [padded_row.get(k) for k in filled_columns]
-        is_empty = all(cell is None for cell in cells)
-        writer.writerow([] if is_empty else cells)
+        writer.writerow(cells)
     return file.getvalue().encode()

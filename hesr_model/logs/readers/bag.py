@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hesr_model.errors import LogError
 from hesr_model.logs.parsed_file import ParsedItem, has_module, parse_file
 from hesr_model.logs.parsers.ros_bag import JOINT_STATE
-from hesr_model.logs.readers.samples import LogSamples, count_outside
+from hesr_model.logs.readers.samples import LogSamples, count_unused, find_neighbours
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.arrays import Array
 from hesr_model.support.child import INVALID_ANSWER
@@ -293,9 +293,12 @@ def _count_left_out(
         left_out["list only some of the joints"] = len(listing) - len(shared_messages)
     uncovered_count = len(slowest_series.t) - row_count
     left_out["have no messages of the other joints near them"] = uncovered_count
-    left_out["lie before or after the messages of other joints"] = max(
-        count_outside(series.t, slowest_series.t) for series in joint_series
-    )
+    for series in joint_series:
+        everything = np.ones(len(series.t), dtype=bool)
+        is_used = find_neighbours(series.t, everything, slowest_series.t)
+        for cause, count in count_unused(series.t, is_used, slowest_series.t).items():
+            cause = f"{cause} messages of other joints"
+            left_out[cause] = max(left_out.get(cause, 0), count)
     return {cause: count for cause, count in left_out.items() if count}
 
 

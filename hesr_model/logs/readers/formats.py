@@ -1,5 +1,6 @@
 """Formats of log files, also of other packages (see `docs/add-a-log-format.md`)."""
 
+import math
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from hesr_model.errors import ConfigError, LogError
+from hesr_model.logs.column_names import read_unit
 from hesr_model.logs.log_format import OPTIONAL, Columns, LogFormat, column_names
 from hesr_model.logs.log_table import LogTable
 from hesr_model.logs.readers.bag import is_bag, read_bag
@@ -19,8 +21,13 @@ from hesr_model.logs.tables import read_table, table_pieces
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support import plugins
 from hesr_model.support.arrays import Array
+from hesr_model.support.text import format_settings
+from hesr_model.units import LOG_UNITS, find_si_factor
 
 GROUP = "hesr.logs"
+_UNIT_KEYS = {"q": "q", "dq": "dq", "tau": "tau", "current": "current", "q_link": "q_link"}
+_UNIT_KEYS |= {"q_cmd": "q", "dq_cmd": "dq", "current_size": "current"}
+_UNIT_KEYS |= {"temperature": "temperature"}
 _MIN_COMMON_SHARE = 0.5  # of rows with numbers of two columns; fewer are rows of several topics
 
 
@@ -73,6 +80,9 @@ def _read_columns(table: LogTable, description: RobotDescription) -> LogSamples:
     optional: dict[str, Any] = {
         quantity: _read_optional(table, quantity, description) for quantity in OPTIONAL
     }
+    for name in table.units:
+        if name in table.used:
+            _require_unit_of_cells(table, name, description)
     return LogSamples(
         t=t,
         q=q,
@@ -86,8 +96,41 @@ def _read_columns(table: LogTable, description: RobotDescription) -> LogSamples:
         left_over=tuple(
             name for name in (*table.names, *table.other_names) if name not in table.used
         ),
+        left_out=table.left_out,
         **optional,
     )
+
+
+def _require_unit_of_cells(table: LogTable, name: str, description: RobotDescription) -> None:
+    """Raise LogError if the robot file has another unit for a column than its cells."""
+    cell_quantity, cell_unit = read_unit(f"[{table.units[name]}]") or ("", "")
+    for quantity, unit_key in _UNIT_KEYS.items():
+        names = column_names(getattr(description.log.columns, quantity), description.joints)
+        if name not in names:
+            continue
+        key = f"log.units.{unit_key}"
+        remedy = f"'log.columns.{quantity}' needs another column"
+        if cell_quantity == unit_key.removesuffix("_link"):
+            units = description.log.units.expand_per_joint(unit_key, len(names))
+            if _is_same_unit(unit_key, units[names.index(name)], cell_unit):
+                continue
+            cell_unit = cell_unit or next(iter(LOG_UNITS.get(unit_key, {"degC": 1.0})))
+            remedy = f"{format_settings({key: cell_unit})} says so"
+        raise LogError(
+            f"{table.path}: the cells of column '{name}' are in '{table.units[name]}', unlike the "
+            f"robot file; {remedy}.",
+            code="log.unit_of_cells",
+            where=table.path,
+            key=key,
+        )
+
+
+def _is_same_unit(unit_key: str, stated_unit: str | float, cell_unit: str | float) -> bool:
+    """Return whether a unit of a robot file, in any direction, has the size of one of cells."""
+    if unit_key == "temperature":
+        return stated_unit == (cell_unit or "degC")
+    cell_size = find_si_factor(unit_key, cell_unit) if cell_unit else 1.0
+    return math.isclose(abs(find_si_factor(unit_key, stated_unit)), cell_size)
 
 
 def _read_joints(table: LogTable, columns: Columns, description: RobotDescription) -> Array:

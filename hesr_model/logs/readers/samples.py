@@ -100,31 +100,53 @@ class LogSamples:
         columns = np.column_stack(list(arrays.values()))
         is_known = np.isfinite(columns) & np.isfinite(self.t)[:, None]
         rows = np.flatnonzero(is_known[:, np.argmin(is_known.sum(axis=0))])
-        outside = count_outside(self.t, self.t[rows])
-        left_out = dict(self.left_out)
-        if outside:
-            left_out["lie before or after the numbers of the slowest column"] = outside
-        samples = replace(
-            select_rows(self, rows),
-            place=lambda k: self.place(int(rows[k])),
-            left_out=left_out,
-        )
+        samples = replace(select_rows(self, rows), place=lambda k: self.place(int(rows[k])))
         filled: dict[str, Any] = {}
+        is_used = np.isin(self.t, samples.t)
         for name, values in arrays.items():
             if name != "t":
                 table = values.reshape(len(values), -1)
-                filled_columns = [_interpolate(self.t, column, samples.t) for column in table.T]
+                filled_columns = []
+                for column in table.T:
+                    known = np.isfinite(column) & np.isfinite(self.t)
+                    is_used |= known & find_neighbours(self.t, known, samples.t)
+                    filled_columns.append(_interpolate(self.t, column, samples.t))
                 filled[name] = np.column_stack(filled_columns).reshape(len(rows), *values.shape[1:])
-        changed: LogSamples = replace(samples, **filled)
+        unused = count_unused(self.t, is_used, samples.t)
+        left_out = {
+            f"{cause} numbers of the slowest column": count for cause, count in unused.items()
+        }
+        changed: LogSamples = replace(samples, left_out={**self.left_out, **left_out}, **filled)
         return changed
 
 
-def count_outside(stamps: NDArray[Any], times: NDArray[Any]) -> int:
-    """Return how many stamps lie before or after `times`, by more than two of their usual steps."""
+def find_neighbours(stamps: NDArray[Any], known: Mask, times: NDArray[Any]) -> Mask:
+    """Return which of the `known` stamps (N,) are next to one of some times, on either side."""
+    indices = np.flatnonzero(known)
+    indices = indices[np.argsort(stamps[indices], kind="stable")]
+    after = np.searchsorted(stamps[indices], times)
+    is_neighbour = np.zeros(len(stamps), dtype=bool)
+    for positions in (after - 1, after):
+        is_inside = (positions >= 0) & (positions < len(indices))
+        is_neighbour[indices[positions[is_inside]]] = True
+    return is_neighbour
+
+
+def count_unused(stamps: NDArray[Any], is_used: Mask, times: NDArray[Any]) -> dict[str, int]:
+    """Return how many stamps (N,) give no number at some times, by the begin of the cause."""
     if len(times) < 2:
-        return 0
+        return {}
+    first = times.min()
+    last = times.max()
+    # Of two topics with one period, one begins up to a step before the other.
     margin = 2.0 * float(np.median(np.abs(np.diff(times))))
-    return int(np.sum((stamps < times.min() - margin) | (stamps > times.max() + margin)))
+    is_outside = (stamps < first - margin) | (stamps > last + margin)
+    is_between = ~is_used & (stamps >= first) & (stamps <= last)
+    counts = {
+        "lie before or after the": int(np.sum(is_outside)),
+        "lie between the": int(np.sum(is_between)),
+    }
+    return {cause: count for cause, count in counts.items() if count}
 
 
 def _interpolate(t: Array, column: Array, times: Array) -> Array:
