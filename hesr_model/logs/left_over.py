@@ -6,10 +6,9 @@ from hesr_model.findings import Finding
 from hesr_model.logs.log_format import OPTIONAL, column_names
 from hesr_model.logs.log_table import find_same_kind
 from hesr_model.logs.robot_log import Log
-from hesr_model.support.ledger import format_suggestion
-from hesr_model.support.text import count_noun, join_few, quote
+from hesr_model.support.ledger import MAX_NAME_LENGTH, format_suggestion, list_left_over
+from hesr_model.support.text import count_noun, quote
 
-_MAX_NAME_LENGTH = 40  # characters of a name in a finding
 _ROW_NUMBER = "counts the rows; time orders them"
 _BOOKKEEPING = "belongs to the data set, not to the motion"
 _OF_MESSAGE = "belongs to the transport of a message; its stamp counts"
@@ -50,12 +49,13 @@ def report_left_over(log: Log) -> Iterator[Finding]:
     suggestions = [_suggest_optional_name(log, name) for name in names]
     # What may have been meant stands first.
     order = sorted(range(len(names)), key=lambda k: not suggestions[k])
-    texts = [f"{quote(names[k][:_MAX_NAME_LENGTH])}{suggestions[k]}" for k in order]
+    texts = [f"{quote(names[k][:MAX_NAME_LENGTH])}{suggestions[k]}" for k in order]
     yield Finding(
         check="left-over",
         severity="warning" if any(suggestions) else "advice",
         logs=(log.name,),
-        found=f"{count_noun(len(names), 'item')} of the file not used: {join_few(texts)}",
+        found=f"{count_noun(len(names), 'item')} of the file not used: "
+        f"{list_left_over(log.where, texts)}",
         remedy="name what is needed in [log.columns] or [log.bag] of the robot file",
     )
 

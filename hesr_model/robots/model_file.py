@@ -17,6 +17,7 @@ from hesr_model.robots.mjcf_forces import FRICTION, SPRINGS
 from hesr_model.robots.model_units import doubt_units
 from hesr_model.robots.urdf import find_model_doubts, position_limits, read_urdf
 from hesr_model.support.arrays import Array
+from hesr_model.support.ledger import list_left_over
 from hesr_model.support.process import collect_errors
 from hesr_model.support.text import join_few, on_one_line, sanitise
 
@@ -120,27 +121,57 @@ class RobotModelFile:
                 where=str(self.path),
                 found=f"its springs, dampers and fluids are not known ({self.unknown_forces})",
             )
-        for force, worths in self.forces.items():
-            joints = [name for name in worths if name in moving_names and worths[name] > 0.0]
-            if force == SPRINGS:
-                # Terms of the robot file describe the springs of joints that lead.
-                joints = [name for name in joints if name in self.followers]
-            if not joints:
-                continue
-            shares = {name: worths[name] / max(self.torques[name], _TINY) for name in joints}
-            worst = max(shares, key=shares.__getitem__)
-            sizes = ", ".join(f"{worths[name]:.3g}" for name in joints)
-            yield Finding(
-                check="left-over",
-                severity=_judge_force(force, shares[worst]),
-                where=str(self.path),
-                joints=tuple(joints),
-                found=(
-                    f"its torque leaves out {force}, worth up to {sizes} N.m (N if it slides) in "
-                    f"this order; the torque of '{worst}' is up to {self.torques[worst]:.3g}"
-                ),
-                remedy=_FRICTION_REMEDY if force in FRICTION else _FORCE_REMEDY,
-            )
+        # Forces that friction laws describe have another remedy.
+        for is_friction in (False, True):
+            worths_by_force = {
+                force: self._select_worths(force, moving_names)
+                for force in self.forces
+                if (force in FRICTION) == is_friction
+            }
+            yield from self._judge_forces(worths_by_force, is_friction=is_friction)
+
+    def _select_worths(self, force: str, moving_names: Collection[str]) -> dict[str, float]:
+        """Return what the torques of some joints leave out of a force, by joint."""
+        worths = {}
+        for name, worth in self.forces[force].items():
+            # Terms of the robot file describe the springs of joints that lead.
+            is_left_out = force != SPRINGS or name in self.followers
+            if is_left_out and name in moving_names and worth > 0.0:
+                worths[name] = worth
+        return worths
+
+    def _judge_forces(
+        self, worths_by_force: Mapping[str, Mapping[str, float]], *, is_friction: bool
+    ) -> Iterator[Finding]:
+        """Yield one finding on what forces are worth on each joint, the largest share first."""
+        concerned_names = set().union(*worths_by_force.values())
+        if not concerned_names:
+            return
+        joints = tuple(name for name in self.torques if name in concerned_names)
+        text_by_share = []
+        for force, worths in worths_by_force.items():
+            if worths:
+                share, worst = max(
+                    (worth / max(self.torques[name], _TINY), name)
+                    for name, worth in worths.items()
+                )
+                sizes = ", ".join(f"{worths.get(name, 0.0):.3g}" for name in joints)
+                text_by_share.append((share, worst, f"{force}, worth up to {sizes} N.m"))
+        text_by_share.sort(reverse=True)
+        largest_share, worst, _ = text_by_share[0]
+        texts = [text for _, _, text in text_by_share]
+        yield Finding(
+            check="left-over",
+            severity="advice" if is_friction else _judge_share(largest_share),
+            where=str(self.path),
+            joints=joints,
+            found=(
+                f"its torque leaves out {list_left_over(str(self.path), texts)}, in the order of "
+                f"the joints (N if they slide); the torque of '{worst}' is up to "
+                f"{self.torques[worst]:.3g}"
+            ),
+            remedy=_FRICTION_REMEDY if is_friction else _FORCE_REMEDY,
+        )
 
     def _select_names(self, root: str | None) -> list[str]:
         names = list(self.pin_model.names)[1:]
@@ -272,9 +303,9 @@ def _find_reason(messages: Sequence[str]) -> str:
     return ""
 
 
-def _judge_force(force: str, share: float) -> Severity:
+def _judge_share(share: float) -> Severity:
     """Return how bad it is to leave out a force of some share of the torque."""
-    if force in FRICTION or share < _MIN_FORCE_SHARE:
+    if share < _MIN_FORCE_SHARE:
         return "advice"
     if share > _MAX_FORCE_SHARE:
         return "error"

@@ -48,6 +48,7 @@ _IRRELEVANT_NAMES = {
         "ros2_control": "for a controller",
         "group": "for a planner",
         "disable_collisions": "for a planner",
+        "collision_filter_group": "for contacts",
     },
     "link": {
         "visual": "appearance",
@@ -55,7 +56,9 @@ _IRRELEVANT_NAMES = {
         "material": "a colour",
         "sensor": "measures, without a mass of its own",
         "contact": "friction and stiffness of contacts",
+        "surface": "friction and stiffness of contacts",
         "type": "of old files",
+        "collision_checking": "for a planner",
         "self_collision_checking": "for a planner",
         "self_filter": "for a planner",
         "gravity": "of a body in a simulator",
@@ -75,6 +78,9 @@ _IRRELEVANT_NAMES = {
     "limit": {
         "acceleration": "for a planner",
         "jerk": "for a planner",
+        "current": "for a controller",
+        "command_effort": "for a controller",
+        "gear_velocity": "for a controller",
     },
 }
 _MOVING_TYPES = ("revolute", "continuous", "prismatic", "planar")

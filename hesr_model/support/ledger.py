@@ -4,6 +4,7 @@ A name that was left over and resembles one that is missing, or that belongs els
 the file is refused, since a default would be used instead. The others are a warning.
 """
 
+import logging
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import SequenceMatcher
@@ -14,8 +15,11 @@ from hesr_model.errors import ConfigError, HesrError
 from hesr_model.findings import Finding, caution, log_findings
 from hesr_model.support.text import count_noun, join_few, join_with_or, quote
 
+_log = logging.getLogger(__name__)
 MISSPELT = "name.misspelt"
 _MAX_SUGGESTIONS = 3
+_MAX_LISTED = 5  # names in a finding
+MAX_NAME_LENGTH = 40  # characters of a name in a finding
 _MIN_SIMILARITY = 0.6  # of names that are suggested, as a share of equal letters
 Names = Mapping[str, Iterable[str]]  # of attributes and child elements, by element
 Reasons = Mapping[str, Mapping[str, str]]  # why they are irrelevant
@@ -38,6 +42,13 @@ def find_close_names(
     return sorted(shares, key=lambda candidate: -shares[candidate])[:max_count]
 
 
+def list_left_over(where: str, texts: Sequence[str]) -> str:
+    """Return the first few texts on what a file has left over; the log of HESR has all of them."""
+    _log.debug("%s: all that is left over: %s", where, ", ".join(texts))
+    hint = " (--verbose lists all)" if len(texts) > _MAX_LISTED else ""
+    return join_few(texts, _MAX_LISTED) + hint
+
+
 def format_suggestion(names: Sequence[str]) -> str:
     """Return "did you mean 'a', 'b' or 'c'?", or "" without names."""
     if not names:
@@ -56,9 +67,8 @@ class LeftOver:
     @property
     def text(self) -> str:
         """The name, with its place if it has one."""
-        if not self.place:
-            return quote(self.name)
-        return f"{quote(self.name)} of {self.place}"
+        name = quote(self.name[:MAX_NAME_LENGTH])
+        return f"{name} of {self.place}" if self.place else name
 
 
 class Ledger:
@@ -165,13 +175,13 @@ class Ledger:
         """Return one warning that names what was left over, if anything was."""
         if not self.left_over:
             return []
-        names = dict.fromkeys(item.text for item in self.left_over)
+        names = list(dict.fromkeys(item.text for item in self.left_over))
         count = count_noun(len(names), self._noun)
         return [
             caution(
                 check="left-over",
                 where=self._where,
-                found=f"{count} not used: {join_few(names)}",
+                found=f"{count} not used: {list_left_over(self._where, names)}",
                 remedy="remove what is not needed, or correct its name",
             )
         ]
