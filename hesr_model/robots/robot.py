@@ -99,7 +99,13 @@ class Robot:
         """Doubtful numbers of the model file, without placeholders; errors first."""
         file_findings = self._model_file.find_doubts(self.joints)
         if self.description.known is not None:
-            return tuple(finding for finding in file_findings if finding.check == "odd-limits")
+            # Torques of the file follow from placeholders; its names do not.
+            return tuple(
+                finding
+                for finding in file_findings
+                if finding.check == "odd-limits"
+                or (finding.check == "left-over" and not finding.joints)
+            )
         lower, upper, _ = self.reach
         q = np.random.default_rng(0).uniform(lower, upper, (8, self.n))
         masses, _ = self.dynamics(self.nominal_parameters, q, np.zeros_like(q))

@@ -1,11 +1,17 @@
 """Ledgers of readers: what was meant is refused, what was not is a warning."""
 
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
 from containing import OneSentence
 
+from hesr_model.audit.properties import read_properties
 from hesr_model.errors import ArtifactError, ConfigError
+from hesr_model.friction.model import FrictionModel
 from hesr_model.support.ledger import Ledger, find_close_names, format_suggestion
 
 USED = {"arm": ("name", "joint"), "joint": ("name", "limit")}
@@ -82,3 +88,43 @@ def test_a_key_of_another_table_was_meant_there() -> None:
     ledger = Ledger("law.json", "key")
     ledger.compare_data({"rate": 1, "log": {}}, {"log": {"rate": None}}, {})
     assert "did you mean 'log.rate'?" in refusal(ledger)
+
+
+def change_audits(data: dict[str, Any]) -> None:
+    for joint in data["joints"]:
+        joint["audit"] = {"odd": ["value"]}
+
+
+def write_again(path: Path) -> str:
+    written = path.with_name("again.json")
+    FrictionModel.read(path).write(written)
+    return written.read_text("utf-8")
+
+
+def change_expectations(data: dict[str, Any]) -> None:
+    data["expectations"] = {"odd": ["value"]}
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "read"),
+    [
+        ("law.json", change_audits, write_again),
+        ("properties.json", change_expectations, read_properties),
+    ],
+)
+def test_irrelevant_keys_of_json_change_nothing(
+    name: str,
+    change: Callable[[dict[str, Any]], None],
+    read: Callable[[Path], Any],
+    tmp_path: Path,
+) -> None:
+    original = tmp_path / "original" / name
+    original.parent.mkdir()
+    original.write_bytes((Path(__file__).parents[1] / "version_1" / name).read_bytes())
+    data = json.loads(original.read_text("utf-8"))
+    before = json.dumps(data)
+    change(data)
+    assert json.dumps(data) != before
+    changed = tmp_path / name
+    changed.write_text(json.dumps(data), encoding="utf-8")
+    assert read(changed) == read(original)

@@ -95,3 +95,10 @@ def test_elements_of_other_tools_are_left_over_once(tmp_path: Path) -> None:
     assert doubt.severity == "warning"
     assert "2 parts" in doubt.found
     assert "'hydraulics' of <link>" in doubt.found
+
+
+def test_names_are_left_over_where_masses_are_placeholders(tmp_path: Path) -> None:
+    path = write(tmp_path, ARM.replace("</robot>", "<hydraulics/></robot>"))
+    description = Robot(path).description.model_copy(update={"known": ()})
+    (doubt,) = Robot(description).doubts
+    assert (doubt.check, doubt.severity) == ("left-over", "warning")
