@@ -11,7 +11,13 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from hesr_model.findings import Finding, caution
-from hesr_model.support.ledger import Ledger, LeftOver, find_close_names, format_suggestion
+from hesr_model.support.ledger import (
+    Ledger,
+    LeftOver,
+    find_close_names,
+    format_suggestion,
+    list_left_over,
+)
 from hesr_model.support.text import quote
 
 Vocabulary = Mapping[str, frozenset[str]]  # attributes and child elements by element
@@ -110,7 +116,15 @@ def judge_description(data: bytes, where: str) -> list[Finding]:
     if root.tag != "fmiModelDescription":
         return []
     mistyped = [item for item in find_left_over(root, where) if item.meant]
-    return [_warn(item, where) for item in mistyped[:_MAX_FINDINGS]]
+    if len(mistyped) <= _MAX_FINDINGS:
+        return [_warn(item, where) for item in mistyped]
+    shown = mistyped[: _MAX_FINDINGS - 1]
+    others = [item.text for item in mistyped[len(shown) :]]
+    observation = f"{len(others)} more names are not used: {list_left_over(where, others)}"
+    return [
+        *(_warn(item, where) for item in shown),
+        caution(check="left-over", where=where, found=observation),
+    ]
 
 
 def _warn(item: LeftOver, where: str) -> Finding:

@@ -95,3 +95,12 @@ def test_a_foreign_fmu_with_a_mistyped_start_value_warns(
     assert "Lag.fmu: 'strat' is no part of <Real>" in caplog.text
     found = [f.found for f in check(fmu).problems if f.check.startswith("xsd")]
     assert any("'strat' is not allowed. Did you mean 'start'?" in sentence for sentence in found)
+
+
+def test_many_mistyped_names_take_three_lines() -> None:
+    variable = re.findall(r"<ScalarVariable.*?</ScalarVariable>", FMI_2, re.DOTALL)[0]
+    many = "".join(variable.replace("causality=", f"causality{k}=") for k in range(9))
+    findings = judge_description(FMI_2.replace(variable, many).encode(), "F.fmu")
+    assert len(findings) == 3
+    assert "7 more names" in findings[-1].found
+    assert "'causality2' of <ScalarVariable>" in findings[-1].found
