@@ -344,6 +344,7 @@ def is_hopeless(findings: Sequence[Finding]) -> bool:
     )
 
 
+_CHECKS_OF_ROWS = ("dropped-rows", "gaps")  # whose counts differ by log
 SYMPTOMS = (
     *("torque-sign", "torque-scale", "torque-signal", "torque-lag", "torque-small", "time-scale"),
     "gravity-sign",
@@ -453,12 +454,18 @@ def merge_findings(findings: Iterable[Finding]) -> list[Finding]:
     return sort_by_severity(_merge_by_key(log_findings, _get_statement))
 
 
-def _get_place(finding: Finding) -> tuple[str, tuple[str, ...]]:
-    return finding.check, finding.joints
+def _get_place(finding: Finding) -> tuple[object, ...]:
+    return finding.check, finding.joints, _get_counted_rows(finding)
 
 
-def _get_statement(finding: Finding) -> tuple[str, str, str, str]:
-    return finding.check, finding.severity, finding.remedy, repr(finding.changes)
+def _get_statement(finding: Finding) -> tuple[object, ...]:
+    statement = finding.check, finding.severity, finding.remedy, repr(finding.changes)
+    return *statement, _get_counted_rows(finding)
+
+
+def _get_counted_rows(finding: Finding) -> str:
+    """Return the observation of a finding that counts the rows of one log; "" of others."""
+    return finding.found if finding.check in _CHECKS_OF_ROWS else ""
 
 
 def _merge_by_key(findings: Iterable[Finding], key: Callable[[Finding], object]) -> list[Finding]:

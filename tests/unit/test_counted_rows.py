@@ -363,3 +363,15 @@ def test_other_lists_of_a_file_are_left_over_with_their_length(split: int, tmp_p
     assert set(log.left_over) == {"robot", f"second.data ({ROWS - split} entries)"}
     (finding,) = [f for f in proposal.examination.findings if f.check == "left-over"]
     assert f"({ROWS - split} entries)" in finding.found
+
+
+@pytest.mark.ci
+def test_each_log_has_its_own_count(tmp_path: Path) -> None:
+    faults = ("torques missing", "every other velocity missing", "short parts", "restarted early")
+    for fault in faults:
+        write_text(tmp_path / f"{fault}.csv", FAULTS[fault])
+    for names in (faults[:2], faults[2:]):
+        proposal = inspect_logs([tmp_path / f"{name}.csv" for name in names])
+        for log in proposal.logs:
+            findings = [f for f in proposal.first_findings if log.name in f.logs]
+            require_told(ROWS, count_used(log), findings)
