@@ -31,15 +31,15 @@ _QUANTITY_WORDS: Mapping[str, frozenset[str]] = {
         "temperature temperatures temp temps temperatur temperatura motortemperatur"
     ),
     "dq": _split_words(
-        "dq qd qdot dqdt vel velocity velocities speed speeds omega qp rpm geschwindigkeit"
+        "dq qd qdot dqdt qvel vel velocity velocities speed speeds omega qp rpm geschwindigkeit"
         " drehzahl winkelgeschwindigkeit vitesse vitesses velocidad velocidade velocita"
     ),
     "q": _split_words(
-        "q pos position positions angle angles theta phi qm encoder enc displacement stroke winkel"
-        " weg hub lage drehwinkel posicion posicao posizione angulo angolo deplacement"
+        "q qpos pos position positions angle angles theta phi qm encoder enc displacement stroke"
+        " winkel weg hub lage drehwinkel posicion posicao posizione angulo angolo deplacement"
     ),
     "tau": _split_words(
-        "tau torque torques trq eff effort efforts moment moments drehmoment motormoment tq nm"
+        "tau qfrc torque torques trq eff effort efforts moment moments drehmoment motormoment tq nm"
         " force forces kraft couple couples coppia forza fuerza torsor momento"
     ),
     "current": _split_words(
@@ -96,6 +96,7 @@ _UNITS: Mapping[str, Mapping[str, UnitSize]] = {
     "dq": {
         **dict.fromkeys(("rad/s", "rads", "radps", "rad/sec", "radpers", "m/s", "mps"), ""),
         **dict.fromkeys(("deg/s", "degs", "dps", "degps", "deg/sec", "degpers", "°/s"), "deg/s"),
+        "grad/s": "deg/s",
         **dict.fromkeys(("rpm", "r/min", "rev/min", "1/min", "min-1", "min^-1", "u/min"), "rpm"),
         **dict.fromkeys(("umin", "tr/min", "tours/min"), "rpm"),
         **dict.fromkeys(("rev/s", "rps", "revs/s", "turns/s"), "rev/s"),

@@ -44,8 +44,10 @@ _COMMENT_MARKS = "#%"  # marks of comments, sometimes of a header
 _COMMENTS = "are numbers in comments"  # cause of rows that are left out
 _MAX_SEARCHED_LINES = 500  # lines searched for data
 _MIN_HEADERLESS_ROWS = 20  # rows of data that prove the absence of a header
-_UNIT_CELL = re.compile(r"[(\[].*[)\]]|rad|deg|°|s|ms|us|ns|A|mA|N\.?m|rad/s|deg/s|-|")
-_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?(\s*[^\d\s,]\S*)?")
+_MIN_LABELLED_ROWS = 3  # rows that begin with a text, of which none is part of a preamble
+_BRACKETED = re.compile(r"[(\[<{](.*)[)\]>}]")
+_NO_UNIT = ("", "-", "1")  # of a column in a row of units
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?(\s*[^\d\s.,]\S*)?")
 _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|\d{4}-\d\d-\d\d[T ][\d:.]+Z?")
 _TIME = re.compile(
     r"(1[7-9]|2[01])\d\d-\d\d-\d\d([T ]\d\d:\d\d(:\d\d(\.\d{1,9})?)?(Z|[+-]\d\d(:?\d\d)?)?)?"
@@ -60,6 +62,7 @@ _DURATION = re.compile(
     r"([-+]?\d+\.?\d*(?:[eE][-+]?\d+)?)\s*(s|sec|secs|seconds?|ms|msec|us|µs|ns|min)"
 )
 _QUANTITY = re.compile(r"([-+]?[\d.,]+(?:[eE][-+]?\d+)?)(?:\s+(\S.*)|([^\d\s.,]\S*))")
+_CLOCK = re.compile(r"([-+]?)(\d{1,4}):([0-5]\d):([0-5]\d(?:\.\d+)?)")  # as MATLAB's durations
 _NANOSECONDS = {"m": 1e6, "u": 1e3, "µ": 1e3, "n": 1.0, "s": 1e9}  # by first letter; not of min
 _LIST = re.compile(r"(?:array\()?(?:'\w', ?)?[\[({]([^\[\](){}]*)[\])}]\)?")
 _CUT_NUMBER = re.compile(r".*([eE]|[-+.])")  # a number that goes on
@@ -121,6 +124,7 @@ class _Dialect:
     decimal: str
     header_line: int  # from 1; 0 without
     first_line: int  # of the rows
+    unit_row: tuple[str, ...] = ()  # units by column, "" without one; empty without such a row
     comment_marks: str = _COMMENT_MARKS
     other_names: tuple[str, ...] = ()  # of what is no column
 
@@ -197,7 +201,7 @@ def _find_dialect(path: Path, content: bytes | None, names: Sequence[str]) -> _D
             if is_json(file.buffer.read(_START_BYTES)):
                 file.seek(0)
                 json_names, table, other_names = convert_records(path, file.read())
-                return _Dialect(path, table, json_names, ",", ".", 0, 1, "", other_names)
+                return _Dialect(path, table, json_names, ",", ".", 0, 1, (), "", other_names)
         with _open_text(path, content) as file:
             lines = enumerate(map(_strip_line, _read_lines(file)), start=1)
             filled_lines = (
@@ -205,6 +209,7 @@ def _find_dialect(path: Path, content: bytes | None, names: Sequence[str]) -> _D
             )
             head = list(islice(filled_lines, _MAX_SEARCHED_LINES))
             header, data, delimiter = _find_table(path, head, names)
+            unit_row = _find_unit_row(head, header, data, delimiter)
             rows = chain(
                 (line for k, line in head if k >= data), (line for _, line in filled_lines)
             )
@@ -214,7 +219,7 @@ def _find_dialect(path: Path, content: bytes | None, names: Sequence[str]) -> _D
                 decimal = ","
     except (UnicodeDecodeError, csv.Error) as error:
         raise _build_csv_error(path) from error
-    return _Dialect(path, content, tuple(names), delimiter, decimal, header, data)
+    return _Dialect(path, content, tuple(names), delimiter, decimal, header, data, unit_row)
 
 
 def _strip_line(line: str) -> str:
@@ -236,7 +241,7 @@ def _find_table(
     for index, (number, line) in enumerate(lines):
         # Blanks stand beside other separators as well.
         for delimiter in sorted(_DELIMITERS, key=lambda d: (d == " ", -line.count(d))):
-            if not _is_data(line, delimiter):
+            if not _begins_data(lines[index:], delimiter):
                 continue
             cells = _split_cells(line, delimiter)
             if names and _has_length(cells, len(names)) and not _is_count(cells):
@@ -264,9 +269,21 @@ def _find_header(
             fitting_lines.append((number, plain_text))
     if len(fitting_lines) > 1 and _is_unit_row(fitting_lines[0][1], delimiter):
         fitting_lines.pop(0)
-    if not fitting_lines or _is_row(fitting_lines[0][1], delimiter):
+    if not fitting_lines or _has_values(fitting_lines[0][1], delimiter):
         return None
     return fitting_lines[0][0]
+
+
+def _find_unit_row(
+    lines: Sequence[tuple[int, str]], header: int, data: int, delimiter: str
+) -> tuple[str, ...]:
+    """Return the units by column of a row between header and data; empty without one."""
+    for number, text in lines:
+        plain_text = text.lstrip(_COMMENT_MARKS + " ")
+        if header < number < data and _is_unit_row(plain_text, delimiter):
+            units = map(_read_unit_cell, plain_text.split(delimiter))
+            return tuple("" if unit in _NO_UNIT else unit for unit in units)
+    return ()
 
 
 def _measure_title(lines_above: Sequence[tuple[int, str]], delimiter: str) -> int:
@@ -333,9 +350,29 @@ def _is_data(line: str, delimiter: str) -> bool:
     return numbers > 0 and 2 * numbers >= len(cells)
 
 
+def _begins_data(lines: Sequence[tuple[int, str]], delimiter: str) -> bool:
+    """Return whether lines begin with a row of numbers, not with one of a preamble."""
+    first_row = lines[0][1]
+    if not _is_data(first_row, delimiter):
+        return False
+    if not _begins_with_text(first_row, delimiter):
+        return True
+    # Texts before numbers are labels unless the next rows are alike.
+    return all(
+        _is_data(line, delimiter) and _begins_with_text(line, delimiter)
+        for _, line in lines[1:_MIN_LABELLED_ROWS]
+    )
+
+
+def _begins_with_text(line: str, delimiter: str) -> bool:
+    cell = _split_cells(line, delimiter)[0]
+    return not (_is_number(cell) or _MISSING.fullmatch(cell))
+
+
 def _is_number(cell: str) -> bool:
     """Return whether a cell is a number, maybe with a unit."""
-    return bool(_NUMBER.fullmatch(cell) or _DURATION.fullmatch(cell)) or bool(_split_quantity(cell))
+    is_plain = any(kind.fullmatch(cell) for kind in (_NUMBER, _DURATION, _CLOCK))
+    return is_plain or _split_quantity(cell) is not None
 
 
 def _split_quantity(cell: str) -> tuple[str, str] | None:
@@ -359,13 +396,28 @@ def _is_row(line: str, delimiter: str) -> bool:
     return is_numeric and not _is_count(cells)
 
 
+def _has_values(line: str, delimiter: str) -> bool:
+    """Return whether a line has numbers where a header has names; that may count its columns."""
+    cells = _split_cells(line, delimiter)
+    has_decimals = any("." in cell and _NUMBER.fullmatch(cell) for cell in cells)
+    return _is_row(line, delimiter) or (has_decimals and _is_data(line, delimiter))
+
+
 def _is_count(cells: Sequence[str]) -> bool:
     numbers = [str(k) for k in range(len(cells) + 1)]
     return len(cells) > 2 and list(cells) in (numbers[:-1], numbers[1:])
 
 
 def _is_unit_row(line: str, delimiter: str) -> bool:
-    return all(_UNIT_CELL.fullmatch(cell.strip()) for cell in line.split(delimiter))
+    units = [_read_unit_cell(cell) for cell in line.split(delimiter)]
+    return all(unit in _NO_UNIT or is_unit(unit) for unit in units)
+
+
+def _read_unit_cell(cell: str) -> str:
+    """Return the unit in a cell of a row of units, without brackets."""
+    text = cell.strip(" \"'")
+    match = _BRACKETED.fullmatch(text)
+    return match[1].strip() if match else text
 
 
 def _split_cells(line: str, delimiter: str) -> list[str]:
@@ -557,6 +609,10 @@ def _join_chunks(dialect: _Dialect, chunks: Iterable[_Chunk]) -> LogTable:
     arrays = [columns[k].concatenate() for k in range(len(names))]
     # Spreadsheets write cells of columns that were deleted.
     kept_columns = [k for k, name in enumerate(names) if name or not _is_empty(arrays[k])]
+    names = [name or f"Unnamed: {k}" for k, name in enumerate(names)]  # as pandas calls them
+    units = {names[k]: columns[k].unit for k in kept_columns}
+    if len(dialect.unit_row) == len(names):
+        units = {names[k]: columns[k].unit or dialect.unit_row[k] for k in kept_columns}
     return LogTable(
         dialect.path,
         tuple(names[k] for k in kept_columns),
@@ -564,7 +620,7 @@ def _join_chunks(dialect: _Dialect, chunks: Iterable[_Chunk]) -> LogTable:
         [arrays[k] for k in kept_columns].__getitem__,
         dialect.other_names,
         line_numbers=numbers,
-        units={names[k]: columns[k].unit for k in kept_columns if columns[k].unit},
+        units={name: unit for name, unit in units.items() if unit},
         left_out={_COMMENTS: commented_count} if commented_count else {},
     )
 
@@ -735,9 +791,13 @@ def _parse_times_or_truths(cells: Sequence[str]) -> Array | None:
 
 
 def _parse_duration(cell: str) -> np.timedelta64:
-    """Return the duration of a cell such as "0.005 sec"; raises ValueError for other text."""
+    """Return the duration of a cell such as "0.005 sec" or "0:12:30.5"; else ValueError."""
     if cell == "nan":
         return np.timedelta64("NaT", "ns")
+    clock = _CLOCK.fullmatch(cell)
+    if clock is not None:
+        seconds = 3600 * int(clock[2]) + 60 * int(clock[3]) + float(clock[4])
+        return np.timedelta64(round(float(f"{clock[1]}1") * seconds * 1e9), "ns")
     match = _DURATION.fullmatch(cell)
     if match is None:
         raise ValueError("not a duration")

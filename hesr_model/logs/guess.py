@@ -156,7 +156,7 @@ def _find_candidates(
     groups = [_Group(name, (name,)) for name in table.names]
     groups += [_Group(key, names) for key, names in _group_names(table.names, joints)]
     readings = {
-        group.key: read_name(_label(table, group)) or _read_bare_joint(group, joints)
+        group.key: read_name(_label(table, *group)) or _read_bare_joint(group, joints)
         for group in groups
     }
     joint_count = len(joints) or _count_joints(groups, readings)
@@ -182,11 +182,11 @@ def _find_candidates(
     }
 
 
-def _label(table: LogTable, group: _Group) -> str:
-    """Return the key of columns, with the unit of their cells if they have one."""
-    units = {table.units.get(name, "") for name in group.names}
+def _label(table: LogTable, key: str, names: Sequence[str]) -> str:
+    """Return the key of columns, with the unit of their cells if all have the same."""
+    units = {table.units.get(name, "") for name in names}
     unit = units.pop()
-    return f"{group.key} [{unit}]" if unit and not units else group.key
+    return f"{key} [{unit}]" if unit and not units else key
 
 
 def _keep_stated(
@@ -403,8 +403,15 @@ def _find_time_names(table: LogTable) -> list[str]:
     return [
         name
         for name in table.names
-        if TIME_WORDS & set(split_tokens(name)) or (read_unit(name) or ("",))[0] == "t"
+        if TIME_WORDS & set(split_tokens(name))
+        or (read_unit(name) or ("",))[0] == "t"
+        or _holds_dates(table, name)
     ]
+
+
+def _holds_dates(table: LogTable, name: str) -> bool:
+    cells = table.arrays(table.names.index(name))
+    return not isinstance(cells, TextCell) and cells.dtype.kind == "M"
 
 
 def _find_time_pairs(table: LogTable) -> list[tuple[str, str]]:
@@ -479,7 +486,7 @@ def _guess_time_unit(table: LogTable, name: str | tuple[str, str]) -> tuple[str,
         for candidate, factor in COMMON_UNITS["t"].items()
         if lowest_rate <= 1.0 / max(period * factor, 1e-300) <= highest_rate
     ]
-    quantity, unit = read_unit(name) or ("", "")
+    quantity, unit = read_unit(_label(table, name, (name,))) or ("", "")
     named_unit = unit or "s"
     if quantity == "t" and named_unit in plausible_units:
         return str(named_unit), f"named so: {name}"

@@ -24,8 +24,8 @@ def read_table(path: Path, names: Sequence[str] = ()) -> LogTable:
     """Open a CSV, maybe packed, a Parquet or a Feather file; raises LogError.
 
     A CSV has commas, or semicolons, tabs or single blanks, which allow decimal commas. Preamble,
-    ``#`` of a header, comments, blank lines and a row of units are skipped. Without a header,
-    `names` names its columns.
+    ``#`` of a header, comments and blank lines are skipped; a row of units is read. Without a
+    header, `names` names its columns.
     """
     require_content(path)
     kind = _KINDS.get(path.suffix.lower())

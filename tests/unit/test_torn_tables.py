@@ -70,7 +70,7 @@ def test_other_faults_are_refused(content: bytes, sentence: str, tmp_path: Path)
 def test_a_column_without_name_that_has_values_stays(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text(PLAIN.replace("\n", ",3\n").replace(f"{HEADER},3", f"{HEADER},"), "utf-8")
-    assert read_table(path).names == (*HEADER.split(","), "")
+    assert read_table(path).names == (*HEADER.split(","), "Unnamed: 4")
 
 
 def write_lists(path: Path, lists: list[list[float]]) -> None:

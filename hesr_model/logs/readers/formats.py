@@ -25,7 +25,14 @@ from hesr_model.support.text import format_settings
 from hesr_model.units import LOG_UNITS, find_si_factor
 
 GROUP = "hesr.logs"
-_UNIT_KEYS = {"q": "q", "dq": "dq", "tau": "tau", "current": "current", "q_link": "q_link"}
+_UNIT_KEYS = {
+    "t": "t",
+    "q": "q",
+    "dq": "dq",
+    "tau": "tau",
+    "current": "current",
+    "q_link": "q_link",
+}
 _UNIT_KEYS |= {"q_cmd": "q", "dq_cmd": "dq", "current_size": "current"}
 _UNIT_KEYS |= {"temperature": "temperature"}
 _MIN_COMMON_SHARE = 0.5  # of rows with numbers of two columns; fewer are rows of several topics
@@ -105,8 +112,10 @@ def _require_unit_of_cells(table: LogTable, name: str, description: RobotDescrip
     """Raise LogError if the robot file has another unit for a column than its cells."""
     cell_quantity, cell_unit = read_unit(f"[{table.units[name]}]") or ("", "")
     for quantity, unit_key in _UNIT_KEYS.items():
-        names = column_names(getattr(description.log.columns, quantity), description.joints)
-        if name not in names:
+        columns = getattr(description.log.columns, quantity)
+        names = column_names(columns, description.joints)
+        is_pair = quantity == "t" and not isinstance(columns, str)  # with units in their names
+        if name not in names or is_pair:
             continue
         key = f"log.units.{unit_key}"
         remedy = f"'log.columns.{quantity}' needs another column"
@@ -127,6 +136,8 @@ def _require_unit_of_cells(table: LogTable, name: str, description: RobotDescrip
 
 def _is_same_unit(unit_key: str, stated_unit: str | float, cell_unit: str | float) -> bool:
     """Return whether a unit of a robot file, in any direction, has the size of one of cells."""
+    if not isinstance(stated_unit, str):
+        return True  # the size may contain a gear as well
     if unit_key == "temperature":
         return stated_unit == (cell_unit or "degC")
     cell_size = find_si_factor(unit_key, cell_unit) if cell_unit else 1.0
