@@ -30,6 +30,8 @@ ELSEWHERE = {
     "a divisor of all steps": "cosim/package/test_ssp_spellings.py::test_printed_times_work",
     "for another end": "cosim/package/test_ssp_spellings.py::test_printed_times_work",
     "[log] missing = 'interpolate'": "unit/test_logs_of_other_tools.py::test_a_printed_line_joins",
+    "(--verbose lists all)": "cosim/package/test_recorded_left_over.py::"
+    "test_many_names_take_a_line_per_file_and_verbose_lists_them",
     "--only {} -o": "cosim/test_remedies_of_answers.py::test_what_an_answer_prints_is_executed",
 }
 """Words of remedies that another test executes."""

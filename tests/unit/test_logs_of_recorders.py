@@ -280,3 +280,24 @@ def test_names_of_the_robot_file_keep_the_row_of_units(tmp_path: Path) -> None:
     with pytest.raises(LogError) as refusal:
         Log.read(path, apply_changes(named, {"log.units.q": "rad"}))
     assert refusal.value.code == "log.unit_of_cells"
+
+
+def test_units_of_data_sets_are_read(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py", reason="needs hesr[formats]")
+    path = tmp_path / "run.h5"
+    with h5py.File(path, "w") as file:
+        file["time"] = T
+        for name, values, unit in (
+            ("position", DEGREES * np.column_stack([Q, OTHER[:, 0]]), "deg"),
+            ("velocity", DEGREES * np.column_stack([DQ, OTHER[:, 1]]), np.bytes_("deg/s")),
+            ("effort", np.column_stack([TAU, OTHER[:, 2]]), "percent"),
+        ):
+            file[name] = values
+            file[name].attrs["units"] = unit
+    proposal = inspect_logs([path])
+    units = proposal.description.log.units
+    assert (units.q, units.dq, units.tau) == ("deg", "deg/s", "N.m")
+    np.testing.assert_allclose(proposal.logs[0].q, np.column_stack([Q, OTHER[:, 0]]), atol=1e-9)
+    with pytest.raises(LogError) as refusal:
+        Log.read(path, apply_changes(proposal.description, {"log.units.q": "rad"}))
+    assert refusal.value.code == "log.unit_of_cells"

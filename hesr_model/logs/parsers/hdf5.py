@@ -26,6 +26,7 @@ def parse(path: Path, *, kind: str, transposed: bool) -> Iterator[Item]:
             external_links[name] = str(link.filename)
 
     arrays: dict[str, Array | TextCell] = {}
+    units: list[list[str]] = []  # pairs of name and unit
     bytes_left = compute_max_bytes(path)
 
     def visit(name: str, dataset: Any) -> None:
@@ -45,6 +46,7 @@ def parse(path: Path, *, kind: str, transposed: bool) -> Iterator[Item]:
                     code="log.too_large",
                     where=path,
                 )
+            units.extend([name.replace("/", "."), unit] for unit in _read_units(dataset))
             array = np.asarray(dataset)
             arrays.update(
                 find_number_arrays(array.T if transposed else array, name.replace("/", "."))
@@ -58,7 +60,18 @@ def parse(path: Path, *, kind: str, transposed: bool) -> Iterator[Item]:
             name, other_file = next(iter(external_links.items()))
             raise _build_reference_error(path, name, "an external link to an object", other_file)
         file.visititems(visit)
-    yield build_item(arrays.items())
+    yield build_item(arrays.items(), names=units)
+
+
+def _read_units(dataset: Any) -> Iterator[str]:
+    """Yield the unit of a data set that an attribute states, if one does."""
+    for attribute in ("units", "unit"):
+        unit = dataset.attrs.get(attribute, "")
+        if isinstance(unit, bytes):
+            unit = unit.decode("utf-8", "replace")
+        if isinstance(unit, str) and unit:
+            yield unit
+            return
 
 
 def _require_own_data(path: Path, name: str, dataset: Any) -> None:

@@ -1,8 +1,10 @@
 """HDF5 files, also those of MATLAB 7.3; needs h5py."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from hesr_model.errors import LogError
+from hesr_model.logs.column_names import is_unit
 from hesr_model.logs.log_format import LogFormat
 from hesr_model.logs.log_table import LogTable
 from hesr_model.logs.parsed_file import ParsedItem, has_module, parse_file
@@ -29,7 +31,19 @@ def read_hdf5(path: Path, kind: str, *, transposed: bool = False) -> ParsedItem:
 def _read(path: Path, log_format: LogFormat) -> LogTable:
     require_content(path)
     item = read_hdf5(path, "HDF5 file")
-    return build_array_table(path, item.arrays, log_format.columns.time_name, item.other_names)
+    table = build_array_table(path, item.arrays, log_format.columns.time_name, item.other_names)
+    units: dict[str, str] = {}
+    for name, unit in item.names:
+        columns = [column for column in table.names if _is_column_of(column, name)]
+        if is_unit(unit):
+            units |= dict.fromkeys(columns, unit)
+    return replace(table, units=units)
+
+
+def _is_column_of(column: str, name: str) -> bool:
+    """Return whether a column is an array, or one of the columns of it."""
+    number = column.removeprefix(name)
+    return column.startswith(name) and (not number or number.isdigit())
 
 
 FORMAT = table_format("HDF5 file", {".h5", ".hdf5", ".hdf"}, _read)
