@@ -494,9 +494,9 @@ def _read_chunks(dialect: _Dialect, chunk_rows: int = 0) -> Iterator[_Chunk]:
             lines_below = enumerate(lines, start=dialect.first_line)
             chunk_rows = chunk_rows or max(1, _CHUNK_CELLS // len(names))
             empty_rows: dict[int, str] = {}
+            commented_count = 0
             while chunk := list(islice(lines_below, chunk_rows)):
                 rows: dict[int, str] = {}
-                commented_count = 0
                 for k, line in chunk:
                     text = line.strip(f" \r\n{dialect.delimiter}")
                     if text and text[0] in dialect.comment_marks:
@@ -504,8 +504,9 @@ def _read_chunks(dialect: _Dialect, chunk_rows: int = 0) -> Iterator[_Chunk]:
                         commented_count += _is_row_of(plain_text, dialect.delimiter, len(names))
                     elif text and line.strip() != header_text:
                         # Rows without a cell lack numbers, but for those at the end of a file.
-                        rows |= {**empty_rows, k: line}
+                        rows |= empty_rows
                         empty_rows.clear()
+                        rows[k] = line
                     elif not text and line.strip(" \r\n"):
                         empty_rows[k] = line
                 _remove_torn_row(rows, dialect, len(names))
@@ -519,6 +520,7 @@ def _read_chunks(dialect: _Dialect, chunk_rows: int = 0) -> Iterator[_Chunk]:
                         dialect.decimal,
                         commented_count,
                     )
+                    commented_count = 0
     except (UnicodeDecodeError, csv.Error) as error:
         raise _build_csv_error(dialect.path) from error
 

@@ -11,7 +11,7 @@ import pytest
 from containing import Containing
 
 from hesr_model.errors import LogError
-from hesr_model.logs.left_over import report_left_over
+from hesr_model.logs.left_over import IRRELEVANT, report_left_over
 from hesr_model.logs.log_format import LogBag, LogColumns, LogFormat, LogUnits
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import RobotDescription
@@ -373,6 +373,21 @@ def test_rows_of_a_bag_that_are_left_out_have_causes(tmp_path: Path) -> None:
     assert cause == Containing("after the messages of other joints")
     assert 15 <= count <= 20
     assert log.dropped == count
+
+
+def test_messages_of_irrelevant_topics_change_nothing(tmp_path: Path) -> None:
+    topics = [name for name in IRRELEVANT if name.startswith("/")]
+    assert len(topics) > 5
+    contents = []
+    for shift in (0.0, 1.0):
+        others = [{**message(k), "position": [shift, shift]} for k in range(N)]
+        written = {"/joint_states": messages(), **dict.fromkeys(topics, others)}
+        log = Log.read(write_topics(tmp_path / f"bag{shift:g}", written), robot())
+        require_content(log)
+        assert set(topics) <= set(log.left_over)
+        (finding,) = report_left_over(log)
+        contents.append(finding.found)
+    assert contents[0] == contents[1] == Containing("1 item ", "'/note'")
 
 
 def test_messages_of_a_faster_joint_are_counted(tmp_path: Path) -> None:
