@@ -277,12 +277,18 @@ def _find_header(
 def _find_unit_row(
     lines: Sequence[tuple[int, str]], header: int, data: int, delimiter: str
 ) -> tuple[str, ...]:
-    """Return the units by column of a row between header and data; empty without one."""
-    for number, text in lines:
-        plain_text = text.lstrip(_COMMENT_MARKS + " ")
-        if header < number < data and _is_unit_row(plain_text, delimiter):
-            units = map(_read_unit_cell, plain_text.split(delimiter))
-            return tuple("" if unit in _NO_UNIT else unit for unit in units)
+    """Return the units by column of a row next to the header, maybe above; empty without one."""
+    plain_lines = {
+        number: text.lstrip(_COMMENT_MARKS + " ") for number, text in lines if number <= data
+    }
+    names_line = plain_lines.get(header or data, "")
+    for number, text in plain_lines.items():
+        is_as_long = _count_cells(text, delimiter) == _count_cells(names_line, delimiter)
+        if number not in (header, data) and is_as_long and _is_unit_row(text, delimiter):
+            cells = map(_read_unit_cell, text.split(delimiter))
+            units = tuple("" if unit in _NO_UNIT else unit for unit in cells)
+            if any(units):
+                return units
     return ()
 
 

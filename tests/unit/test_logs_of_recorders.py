@@ -166,6 +166,11 @@ READ: dict[str, tuple[str, int, set[str]]] = {
         write("time,pos,vel,trq\n[ms],[deg],[deg/s],[Nm]", in_degrees), 1, set()),
     "a row of units.csv": (
         write("time,pos,vel,trq\nms,deg,deg/s,Nm", in_degrees), 1, set()),
+    "units above names.csv": (
+        write("[ms],[deg],[deg/s],[Nm]\ntime,pos,vel,trq", in_degrees), 1, set()),
+    "units above descriptions.csv": (
+        write("time,pos,vel,trq\nms,deg,deg/s,Nm\ntime,axis angle,axis speed,axis torque",
+              in_degrees), 1, set()),
     "a row of units of some columns.csv": (
         write("time,pos,vel,trq,mode\nms,deg,deg/s,,-", lambda row: [*in_degrees(row), 1]),
         1, {"mode"}),
