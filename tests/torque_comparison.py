@@ -8,12 +8,11 @@ import pytest
 from torque_reference import REMOVALS, MjcfReference, UrdfReference, draw_motion
 
 from hesr_model.errors import HesrError
-from hesr_model.findings import Finding
 from hesr_model.robots.model_file import read_joints
 from hesr_model.robots.robot import Robot, describe_model
 
 MOST_DIFFERENCE = 1e-9  # over the largest torque
-FORCE = re.compile(r"leaves out (.*), worth up to (.*) N\.m")
+FORCE = re.compile(r"(?:leaves out |(?<=N\.m), )([^,]+), worth up to ([^N]+) N\.m")
 
 
 def open_reference(path: Path) -> MjcfReference | UrdfReference | None:
@@ -25,23 +24,26 @@ def open_reference(path: Path) -> MjcfReference | UrdfReference | None:
         return None
 
 
-def find_forces(robot: Robot) -> dict[str, Finding]:
-    """Return the left-overs with a torque by the name of the force."""
-    found = ((FORCE.search(doubt.found), doubt) for doubt in robot.doubts)
-    return {match[1]: doubt for match, doubt in found if match}
+def find_forces(robot: Robot) -> dict[str, dict[str, float]]:
+    """Return what the left-overs are worth [N.m or N] by the name of the force and the joint."""
+    worths: dict[str, dict[str, float]] = {}
+    for doubt in robot.doubts:
+        for force, text in FORCE.findall(doubt.found):
+            assert force not in worths
+            sizes = zip(doubt.joints, map(float, text.split(", ")), strict=True)
+            worths[force] = {name: size for name, size in sizes if size}
+    return worths
 
 
-def require_sizes(path: Path, moving: list[str], forces: dict[str, Finding]) -> None:
+def require_sizes(path: Path, moving: list[str], forces: dict[str, dict[str, float]]) -> None:
     """Compare what the left-overs say with the torques of the file without each force."""
     reference = MjcfReference(path)
     names, motion = reference.draw_free_motion()
     whole = reference.compute_apart(names, motion)
     least = MOST_DIFFERENCE * np.abs(whole).max()
-    for force, doubt in forces.items():
+    for force, sizes in forces.items():
         rest = MjcfReference(path, {force: names}).compute_apart(names, motion)
         worth = dict(zip(names, np.abs(whole - rest).max(axis=0), strict=True))
-        (_, text) = FORCE.search(doubt.found).groups()
-        sizes = dict(zip(doubt.joints, map(float, text.split(", ")), strict=True))
         for name in moving:
             if force != "stiffness of <joint>" or name in sizes:  # springs of leaders are modelled
                 expected = pytest.approx(worth[name], rel=0.05, abs=10.0 * least)
@@ -79,7 +81,7 @@ def compare(path: Path) -> str:
     forces = find_forces(robot)
     assert forces, path
     assert forces.keys() <= REMOVALS.keys()
-    removed = {force: doubt.joints for force, doubt in forces.items()}
+    removed = {force: tuple(sizes) for force, sizes in forces.items()}
     rest = MjcfReference(path, removed).compute(names, motion, held)
     np.testing.assert_allclose(
         torques, rest, rtol=0, atol=MOST_DIFFERENCE * np.abs(rest).max(), err_msg=str(path)

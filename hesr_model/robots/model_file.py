@@ -152,8 +152,7 @@ class RobotModelFile:
         for force, worths in worths_by_force.items():
             if worths:
                 share, worst = max(
-                    (worth / max(self.torques[name], _TINY), name)
-                    for name, worth in worths.items()
+                    (worth / max(self.torques[name], _TINY), name) for name, worth in worths.items()
                 )
                 sizes = ", ".join(f"{worths.get(name, 0.0):.3g}" for name in joints)
                 text_by_share.append((share, worst, f"{force}, worth up to {sizes} N.m"))

@@ -74,6 +74,8 @@ _IRRELEVANT_NAMES = {
         "friction": _FRICTION_REASON,
         "mu_coulomb": _FRICTION_REASON,
         "mu_viscous": _FRICTION_REASON,
+        "K": "stiffness of a gear, whose torque is that of the joint",
+        "D": "damping of a gear, whose torque is that of the joint",
     },
     "limit": {
         "acceleration": "for a planner",

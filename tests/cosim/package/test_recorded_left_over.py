@@ -42,7 +42,7 @@ ROBOT_FILES = {
     "tx40": "tests/real/tx40.toml",
     "ur10e": "tests/real/ur10e.toml",
 }
-_FORCE = re.compile(r"(?:leaves out |', )([^,]+), worth")
+_FORCE = re.compile(r"(?:leaves out |N\.m, )([^,]+), worth")
 Judgements = dict[str, str]  # by name in a file
 
 
