@@ -159,5 +159,5 @@ def simulate(rumoca, model, times):
 
 
 def relative(found, expected):
-    """Largest difference relative to the largest torque."""
-    return np.abs(found - expected).max() / np.abs(expected).max()
+    """Largest difference relative to the largest torque; that itself without any torque."""
+    return np.abs(found - expected).max() / (np.abs(expected).max() or 1.0)
