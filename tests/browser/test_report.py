@@ -266,6 +266,35 @@ def test_the_accessibility_checker_finds_no_problem(
     assert "color-contrast" in passed
 
 
+FOCUS = """() => {
+  const focused = document.activeElement, contents = document.querySelector("nav");
+  if (!document.querySelector("main").contains(focused)) return null;
+  const box = focused.getBoundingClientRect(), bar = contents.getBoundingClientRect();
+  const covers = bar.right > box.left && bar.bottom > box.top;
+  return [covers, focused.outerHTML.slice(0, 80)];
+}"""
+
+
+@pytest.mark.parametrize("width", [390, 1280, 1920])
+def test_the_contents_cover_nothing_that_has_focus(
+    open_page: "OpenPage", report: Path, width: int
+) -> None:
+    """Backwards, since the browser then scrolls up to what is next."""
+    page = open_page(report, viewport={"width": width, "height": 800})
+    unfold(page)
+    page.locator("main a, main button, main summary").last.focus()
+    count = 0
+    covered = []
+    while (focus := page.evaluate(FOCUS)) is not None:
+        is_covered, html = focus
+        if is_covered:
+            covered.append(html)
+        count += 1
+        page.keyboard.press("Shift+Tab")
+    assert covered == []
+    assert count > 100
+
+
 def luminance(colour: str) -> float:
     parts = [int(colour[k : k + 2], 16) / 255.0 for k in (1, 3, 5)]
     linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]
