@@ -23,7 +23,8 @@ from fmu_src import model_file
 from hesr_model.logs.signals import Motion
 from hesr_model.logs.tables import write_table
 from hesr_model.support.files import models_folder, written_together, written_whole
-from hesr_model.support.result_folder import LIST
+from hesr_model.support.open_folder import OpenFolder
+from hesr_model.support.result_folder import LIST, hash_files, write_list
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 
@@ -117,6 +118,10 @@ def test_files_of_killed_processes_are_removed_and_others_are_left_alone(
     assert path.read_text() == "whole"
 
 
+OF_RUN = ("run.json", LIST)
+"""Files of a result that list its others."""
+
+
 @pytest.mark.quiet
 @pytest.mark.parametrize(
     "kills",
@@ -165,7 +170,7 @@ def test_a_killed_run_leaves_the_old_result_or_the_new_one(tmp_path: Path, kills
         if again == command:
             assert not unfinished.exists()
         about = json.loads((results / "run.json").read_text(encoding="utf-8"))
-        assert about["written"] == {n: h for n, h in found.items() if n != "run.json"}
+        assert about["written"] == {n: h for n, h in found.items() if n not in OF_RUN}
         assert "report.html" in about["written"]
         assert not list((tmp_path / "tmp").iterdir())
         shutil.rmtree(unfinished, ignore_errors=True)
@@ -176,14 +181,17 @@ def test_a_killed_run_leaves_the_old_result_or_the_new_one(tmp_path: Path, kills
 
 
 def changed(results: Path, other: Path) -> None:
-    """Copy results that are as readable but differ in every file."""
+    """Copy results that are as readable, and signed, but differ in every file."""
     shutil.copytree(results, other)
     for file in [*other.rglob("*")]:
         if file.is_file():
             file.write_bytes(file.read_bytes() + b"\n")
     about = json.loads((other / "run.json").read_text(encoding="utf-8"))
-    about["written"] = {n: h for n, h in hashes(other).items() if n != "run.json"}
+    about["written"] = {n: h for n, h in hashes(other).items() if n not in OF_RUN}
     (other / "run.json").write_text(json.dumps(about), encoding="utf-8")
+    (other / LIST).unlink()
+    with OpenFolder.open(other) as folder:
+        write_list(folder, hash_files(folder))
 
 
 def used_until(process: "subprocess.Popen[str]", seconds: float) -> float:
@@ -285,4 +293,4 @@ def test_a_killed_writer_of_several_files_leaves_no_mix(
     assert not killed
     assert number > 1
     assert versions[0].keys() == versions[1].keys()
-    assert all(versions[1][name] != content for name, content in versions[0].items())
+    assert versions[1] != versions[0]
