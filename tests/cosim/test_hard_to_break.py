@@ -455,8 +455,8 @@ def test_10_gb_of_zeros_take_no_memory(name: str, head: bytes, tmp_path: Path) -
     assert sentence.startswith(f"hesr: {path}: ")
     if path.suffix == ".gz":
         assert "is 10.0 GB long" in sentence
-    elif path.suffix == ".csv":  # read line by line
-        assert "cannot be read as CSV text." in sentence
+    elif path.suffix == ".csv":  # read line by line, up to zeros that a logger did not write
+        assert ("has 1 rows of data" if head else "cannot be read as CSV text.") in sentence
     assert int(memory) < 500_000  # kB; the imports of the command take 230 MB
 
 
