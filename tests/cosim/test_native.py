@@ -17,7 +17,7 @@ from cosim.systems.system import SystemSpec
 from fmu_src.arm.python_arm.export import export_python_arm
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.master import PythonStepper
-from fmu_src.run.native import NativeStepper, step_rows
+from fmu_src.run.native import NativeStepper, _is_supported, step_rows
 from hesr_model.errors import ExportError, SimulationError
 from hesr_model.support.files import models_folder
 
@@ -198,3 +198,16 @@ def test_a_refused_input_ends_the_rows(lag_fmu, monkeypatch):
     assert own[1] == 2.0
     monkeypatch.setattr(fmu_src.run.native, "_library", lambda: None)
     assert found() == own
+
+
+def test_steps_in_c_are_even_from_zero_with_held_outputs(lag_fmu: Path) -> None:
+    with Master(lags(lag_fmu), native=True) as master:
+        layout = master._layout
+        assert _is_supported(layout)
+        others = (
+            {"begin": 0.5},
+            {"times": np.array([0.0, 0.1, 0.3])},
+            {"scheme": replace(layout.scheme, refreshed="all")},
+        )
+        for other in others:
+            assert not _is_supported(replace(layout, **other))

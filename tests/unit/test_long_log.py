@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import hesr
 from cosim.workflow import arguments
 from hesr_model.errors import LogError
 from hesr_model.logs import long_log
+from hesr_model.logs.log_format import LogFormat
 from hesr_model.logs.long_log import LongLog, StepCounts
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth_logs
@@ -296,3 +298,18 @@ def test_a_log_that_changes_is_refused(robot: RobotDescription, tmp_path: Path) 
     written(path, table[:700])
     with pytest.raises(LogError, match=r"log\.csv: was changed while"):
         list(log.motions())
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"sort": True},
+        {"wrap": 256.0},
+        {"restart": "gap"},
+        {"duplicates": "spread"},
+        {"missing": "interpolate"},
+    ],
+)
+def test_rows_that_depend_on_others_are_read_at_once(settings: dict[str, Any]) -> None:
+    assert LogFormat(**settings).needs_all_rows
+    assert not LogFormat(duplicates="first", missing="drop").needs_all_rows

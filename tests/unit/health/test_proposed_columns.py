@@ -18,6 +18,20 @@ def inspect(tmp_path: Path, header: str, **columns: str) -> Proposal:
     return inspect_logs([write_log(tmp_path / "run.csv", header)], description)
 
 
+@pytest.mark.parametrize(
+    ("header", "chosen"),
+    [
+        ("t=t;q=q;dq=dq;torque=noise;effort=tau", "effort"),
+        ("t=t;q=q;dq=dq;torque=tau;effort=noise", "torque"),
+        ("t=t;q=q;dq=dq;torque=noise;effort=tau;moment=warmth", "effort"),
+    ],
+)
+def test_the_torque_that_motion_explains_is_chosen(
+    header: str, chosen: str, tmp_path: Path
+) -> None:
+    assert inspect(tmp_path, header).description.log.columns.tau == (chosen,)
+
+
 def test_names_of_the_user_are_kept_and_one_key_is_missing(tmp_path: Path) -> None:
     header = "t=t;a=q;b=dq;c=amperes;position=noise;velocity=noise"
     proposal = inspect(tmp_path, header, q="a", dq="b", current="c")
