@@ -16,6 +16,7 @@ from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.laws.lugre import LuGre, LuGrePassive
 from hesr_model.robots.robot import Robot
+from hesr_model.robots.transmission import Transmission
 
 POSTURE = np.array([0.3, -0.8, 1.2, 0.4, 0.5, 0.1])
 DRIFT = 1e-3  # of the exchanged energy
@@ -239,6 +240,23 @@ def test_stops_keep_a_falling_arm_within_its_limits(make_law, tmp_path: Path) ->
     assert np.max(beyond) < deepest  # the springs store no more than the energy of the fall
     assert 0.0 < beyond[-1] < sag
     assert np.max(np.abs(run.dq[-1])) < 0.01
+
+
+@pytest.mark.ci
+def test_stops_do_not_act_on_coupled_motors(make_law, tmp_path: Path) -> None:
+    """The angle of the second motor is none of the second joint."""
+    matrix = np.diag([101.0, 101.0, 101.0, 80.0, 80.0, 80.0])
+    matrix[1, 0] = 101.0
+    transmission = Transmission(matrix=tuple(map(tuple, matrix.tolist())))
+    robot = Robot(coupled(tmp_path).model_copy(update={"transmission": transmission}))
+    fmu = plant(robot, [make_law("viscous")] * robot.n, tmp_path)
+    push = np.array([20.0, 20.0, 0.0, 0.0, 0.0, 0.0])
+    tau = np.tile(gravity(robot, POSTURE) + push, (200, 1))
+    start = at(robot, POSTURE) | open_stops(robot)
+    stops = {f"q_{end}[{i}]": POSTURE[i - 1] for i in (1, 2) for end in ("min", "max")}
+    free, stopped = (Run(fmu, tau, step=0.005, start=start | more) for more in ({}, stops))
+    assert abs(free.q[-1, 1] - POSTURE[1]) > 0.1
+    np.testing.assert_array_equal(stopped.q, free.q)
 
 
 def test_payload_and_gravity_are_those_of_the_load_torque(make_law, tmp_path: Path) -> None:
