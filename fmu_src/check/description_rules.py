@@ -445,8 +445,8 @@ def _listed_events(model_description: ParsedDescription) -> Iterator[Problem]:
     if wrong_names:
         yield (
             "structure-clocks",
-            f"{model_description.lists['ClockedStates']} must list exactly the variables with "
-            f"'previous', unlike {quote_names(wrong_names)}.",
+            f"{model_description.lists['ClockedStates']} must have exactly the variables with a "
+            f"previous value, unlike {quote_names(wrong_names)}.",
         )
 
 
