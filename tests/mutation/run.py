@@ -111,6 +111,22 @@ def make_environment(root: Path) -> None:
     Path(inner, "a_tree.pth").write_text(lines, encoding="utf-8")
 
 
+def new_cache(root: Path) -> Path:
+    """Make a cache with compiled C only, whose keys are its sources.
+
+    What a fault left in the cache would judge the next one, and results of readers without a fault
+    would hide it.
+    """
+    usual = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hesr"
+    cache = root / ".cache-of-faults"
+    shutil.rmtree(cache, ignore_errors=True)
+    (cache / "hesr").mkdir(parents=True, mode=0o700)
+    for kind in ("zig", "binaries", "functions"):
+        if (usual / kind).is_dir():
+            shutil.copytree(usual / kind, cache / "hesr" / kind)
+    return cache
+
+
 def _run_tests(root: Path, options: Sequence[str], output: int, started: int) -> None:
     """Run in a process group, which can be ended as a whole."""
     os.setsid()
@@ -118,10 +134,11 @@ def _run_tests(root: Path, options: Sequence[str], output: int, started: int) ->
     os.dup2(output, 1)
     os.dup2(output, 2)
     os.chdir(root)
-    # What a fault left in the cache would judge the next one.
-    cache = root / ".cache-of-faults"
-    shutil.rmtree(cache, ignore_errors=True)
-    os.environ |= {"PYTHONPATH": str(root), "COLUMNS": "200", "XDG_CACHE_HOME": str(cache)}
+    os.environ |= {
+        "PYTHONPATH": str(root),
+        "COLUMNS": "200",
+        "XDG_CACHE_HOME": str(new_cache(root)),
+    }
     sys.path[:1] = [str(root)]
     always = ["-xq", "-p", "no:cacheprovider", "--hypothesis-profile=ci"]
     code = pytest.main([*always, *options], plugins=[_Starts(started)])
