@@ -349,7 +349,7 @@ def second(
     left_out = {
         law: [joint["left_out_rmse"] for joint in data["joints"]]
         for law, data in written.items()
-        if data["law"] in select_laws("classic")
+        if {own.name for own in outcome.models[law].laws} <= set(select_laws("classic"))
     }
     references = [min(left_out, key=lambda law: left_out[law][k]) for k in range(6)]
     cutoff = ur10e_model.description.log.filter_cutoff
