@@ -84,7 +84,7 @@ class MjcfReference:
         return names, draw_motion(len(names), 0, rest)
 
     def compute_apart(self, names: list[str], motion: Motion) -> Array:
-        """Return the torques (N, n) of joints of which none moves another."""
+        """Return the torques (N, n) of joints that do not move each other."""
         _, offsets = self._follow([], {})
         held = self._find_held()
         rest = {

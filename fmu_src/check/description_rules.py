@@ -422,7 +422,7 @@ def _listed_derivatives(model_description: ParsedDescription) -> Iterator[Proble
 
 
 def _is_derived_signal(model_description: ParsedDescription, variable: ParsedVariable) -> bool:
-    """Whether a derivative only tells importers that two inputs or two outputs belong together."""
+    """Return whether a derivative only relates two inputs or two outputs, without a state."""
     base = model_description.variable(integer(variable.type_attributes.get("derivative")))
     return base is not None and variable.causality == base.causality != "local"
 

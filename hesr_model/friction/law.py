@@ -251,7 +251,7 @@ class FrictionLaw:
         missing_names = sorted(set(coefficient_names) - set(self.values))
         unknown_names = sorted(set(self.values) - set(coefficient_names))
         if missing_names or unknown_names:
-            # Of a mistyped name, one is the other.
+            # A mistyped name is both missing and unknown.
             defects = [f"'{name}' is missing" for name in missing_names[:1]]
             defects += [f"'{name}' is unknown" for name in unknown_names[:1]]
             wrong_name = sorted([*missing_names, *unknown_names])[0]

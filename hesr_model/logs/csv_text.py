@@ -44,7 +44,7 @@ _COMMENT_MARKS = "#%"  # marks of comments, sometimes of a header
 _COMMENTS = "are numbers in comments"  # cause of rows that are left out
 _MAX_SEARCHED_LINES = 500  # lines searched for data
 _MIN_HEADERLESS_ROWS = 20  # rows of data that prove the absence of a header
-_MIN_LABELLED_ROWS = 3  # rows that begin with a text, of which none is part of a preamble
+_MIN_LABELLED_ROWS = 3  # rows that must all begin with a text to be labelled data
 _BRACKETED = re.compile(r"[(\[<{](.*)[)\]>}]")
 _NO_UNIT = ("", "-", "1")  # of a column in a row of units
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?(\s*[^\d\s.,]\S*)?")
@@ -126,7 +126,7 @@ class _Dialect:
     first_line: int  # of the rows
     unit_row: tuple[str, ...] = ()  # units by column, "" without one; empty without such a row
     comment_marks: str = _COMMENT_MARKS
-    other_names: tuple[str, ...] = ()  # of what is no column
+    other_names: tuple[str, ...] = ()  # names in the file other than columns
 
 
 def _open_text(path: Path, content: bytes | None, newline: str | None = None) -> TextIO:
@@ -363,7 +363,7 @@ def _begins_data(lines: Sequence[tuple[int, str]], delimiter: str) -> bool:
         return False
     if not _begins_with_text(first_row, delimiter):
         return True
-    # Texts before numbers are labels unless the next rows are alike.
+    # Texts before numbers are labels only if the next rows have them as well.
     return all(
         _is_data(line, delimiter) and _begins_with_text(line, delimiter)
         for _, line in lines[1:_MIN_LABELLED_ROWS]
@@ -711,7 +711,7 @@ class Column:
         self._parts.append(part)
 
     def _add_text(self, cells: Sequence[str], first: int, decimal: str) -> None:
-        """Append cells of which not all are plain numbers."""
+        """Append cells that are not all plain numbers."""
         part = _parse_numbers(cells, decimal)
         if part is not None:
             self._add_numbers(part, first)

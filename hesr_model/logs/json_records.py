@@ -25,7 +25,7 @@ def is_json(start: bytes) -> bool:
 
 
 def convert_records(path: Path, text: str) -> tuple[tuple[str, ...], bytes, tuple[str, ...]]:
-    """Return names, rows as CSV without a header, and what else JSON text has; raises LogError.
+    """Return names, rows as CSV without a header, and other names in JSON text; raises LogError.
 
     Names of inner objects are joined by dots, numbers of entries of lists by underscores.
     """
@@ -49,7 +49,7 @@ def convert_records(path: Path, text: str) -> tuple[tuple[str, ...], bytes, tupl
     return tuple(names), file.getvalue().encode(), tuple(other_names)
 
 
-Records = tuple[Sequence[Mapping[str, Any]], list[str]]  # and names of what is no record
+Records = tuple[Sequence[Mapping[str, Any]], list[str]]  # records, and other names in the file
 
 
 def _read_records(path: Path, text: str) -> Records:

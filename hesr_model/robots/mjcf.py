@@ -345,6 +345,7 @@ def _describe_forces(path: Path, description: Compiled) -> dict[str, Any]:
 def _couple_by_tendons(mj_model: Any) -> dict[str, list[str]]:
     """Return the joints that each equality of tendons couples, by the names of the tendons."""
     kinds = import_engine().mjtEq
+    joint_names = _name_joints(mj_model)
     couplings = {}
     for k in _list_equalities(mj_model):
         if kinds(mj_model.eq_type[k]) != kinds.mjEQ_TENDON:
@@ -354,7 +355,6 @@ def _couple_by_tendons(mj_model: Any) -> dict[str, list[str]]:
         joints = set[int]().union(*(_find_joints_of_tendon(mj_model, t) for t in tendons))
         names = [mj_model.tendon(t).name or f"number {t}" for t in tendons]
         cause = f"an equality of tendon {' and '.join(names)}"
-        joint_names = _name_joints(mj_model)
         couplings[cause] = [joint_names[j] for j in sorted(joints)]
     return couplings
 
@@ -483,7 +483,7 @@ def _name_joints(mj_model: Any) -> list[str]:
 
 
 def _number_unnamed(names: Sequence[str], kind: str) -> list[str]:
-    """Return names of which the empty ones are a kind and a number, unlike all others."""
+    """Return unique names; replace each empty name by the kind and a number."""
     numbered_names = []
     for number, name in enumerate(names):
         new_name = name or f"{kind}{number}"

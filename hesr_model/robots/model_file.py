@@ -143,7 +143,7 @@ class RobotModelFile:
     def _judge_forces(
         self, worths_by_force: Mapping[str, Mapping[str, float]], *, is_friction: bool
     ) -> Iterator[Finding]:
-        """Yield one finding on what forces are worth on each joint, the largest share first."""
+        """Yield one finding with the size of each force on each joint, the largest share first."""
         concerned_names = set().union(*worths_by_force.values())
         if not concerned_names:
             return

@@ -43,7 +43,7 @@ def find_close_names(
 
 
 def list_left_over(where: str, texts: Sequence[str]) -> str:
-    """Return the first few texts on what a file has left over; the log of HESR has all of them."""
+    """Join the first few left-overs of a file; write all of them to the log of HESR."""
     _log.debug("%s: all that is left over: %s", where, ", ".join(texts))
     hint = " (--verbose lists all)" if len(texts) > _MAX_LISTED else ""
     return join_few(texts, _MAX_LISTED) + hint

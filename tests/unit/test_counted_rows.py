@@ -323,7 +323,7 @@ def test_lines_without_a_row_are_skipped_and_others_counted(name: str, tmp_path:
 
 
 def test_rows_without_a_cell_do_not_shift_rows_without_stamps(tmp_path: Path) -> None:
-    """A rate counts them; those at the end are none."""
+    """With a rate they are counted, except at the end of the file."""
     rows = [line.partition(",")[2] for line in LINES]
     for k in EVERY:
         rows[k] = ",,"

@@ -229,7 +229,7 @@ def test_units_in_cells_are_read(name: str, tmp_path: Path) -> None:
 
 
 def test_units_in_cells_tell_the_quantity(tmp_path: Path) -> None:
-    """Currents are no torques, whatever their column is called."""
+    """A current is not a torque, whatever its column is called."""
     text = write_units(" rad", " rad/s", " A")
     with pytest.raises(LogError) as refusal:
         inspect(tmp_path / "run.csv", text)

@@ -380,7 +380,7 @@ class _Reader:
         where = f"connection '{format_connector(target)}' = '{format_connector(source)}'"
         hop = Hop(
             target=target,
-            suppressed=_reads_suppressed(node, where),
+            suppressed=_is_conversion_suppressed(node, where),
             transformation=read_transformation(node, where),
         )
         self.graph.add(source, hop)
@@ -546,7 +546,7 @@ class _Reader:
             target = _MappingTarget(
                 name=self.read_attribute(entry, "target", f"{where}: a mapping"),
                 transformation=read_transformation(entry, entry_place),
-                suppressed=_reads_suppressed(entry, entry_place),
+                suppressed=_is_conversion_suppressed(entry, entry_place),
             )
             targets_by_name.setdefault(name, []).append(target)
         return targets_by_name
@@ -654,7 +654,7 @@ class _Reader:
         return f"{component}.{connector}"
 
 
-def _reads_suppressed(node: ET.Element, where: str) -> bool:
+def _is_conversion_suppressed(node: ET.Element, where: str) -> bool:
     """Return whether a connection or mapping converts no units."""
     name = "suppressUnitConversion"
     return read_boolean(node.get(name, "false"), f"{where}: {name}")

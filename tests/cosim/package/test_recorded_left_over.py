@@ -79,7 +79,7 @@ def judge(path: Path) -> Judgements:
 
 
 def list_files(folder: Path) -> Iterator[Path]:
-    """Yield robots and logs: files of other kinds, such as licences of robots, are none."""
+    """Yield robots and logs, but no other files, such as licences of robots."""
     for path in sorted(folder.rglob("*")):
         is_text = path.suffix == ".txt" and path.parent.name != "cases"
         is_licence = path.stem.startswith("LICENSE")

@@ -96,7 +96,7 @@ def test_a_backslash_is_reported(entry):
 
 
 def test_entries_with_backslashes_are_checked_like_others(content, tmp_path):
-    """A missing binary is none that has a backslash in its name."""
+    """A binary with a backslash in its name is not missing."""
     named = {name.replace("/", "\\"): data for name, data in content.items()}
     found = check(write(tmp_path / "F.fmu", named)).problems
     assert {(f.check, f.severity) for f in found} == {("archive-backslash", "error")}

@@ -244,7 +244,7 @@ def test_stops_keep_a_falling_arm_within_its_limits(make_law, tmp_path: Path) ->
 
 @pytest.mark.ci
 def test_stops_do_not_act_on_coupled_motors(make_law, tmp_path: Path) -> None:
-    """The angle of the second motor is none of the second joint."""
+    """The second motor's angle is not that of the second joint."""
     matrix = np.diag([101.0, 101.0, 101.0, 80.0, 80.0, 80.0])
     matrix[1, 0] = 101.0
     transmission = Transmission(matrix=tuple(map(tuple, matrix.tolist())))
