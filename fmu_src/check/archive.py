@@ -28,6 +28,7 @@ from fmu_src.run.archive import (
     is_folder,
     open_archive,
     open_file,
+    read_member_name,
 )
 from hesr_model.support.process import DiedError
 from hesr_model.support.text import join_few, quote, quote_names, sanitise
@@ -196,13 +197,8 @@ def _read_all(archive: zipfile.ZipFile, folder: Path) -> Contents:
         problems += _oddities(entry)
     problems += _duplicates([entry.filename for entry in zip_entries])
     files, reading_problems = _copy_entries(archive, folder)
-    names = tuple(dict.fromkeys(_name_member(e) for e in zip_entries if not is_folder(e)))
+    names = tuple(dict.fromkeys(read_member_name(e) for e in zip_entries if not is_folder(e)))
     return Contents(names=names, files=files, problems=(*problems, *reading_problems))
-
-
-def _name_member(entry: zipfile.ZipInfo) -> str:
-    """Return the name of an entry as the other rules and `hesr simulate` read it."""
-    return entry.filename.replace("\\", "/")
 
 
 def _copy_entries(archive: zipfile.ZipFile, folder: Path) -> tuple[dict[str, Path], list[Problem]]:
@@ -225,7 +221,7 @@ def _copy_entries(archive: zipfile.ZipFile, folder: Path) -> tuple[dict[str, Pat
             text = f"the entry {quote(entry.filename)} cannot be read ({format_error(error)})."
             problems.append(("archive-damaged", text))
         else:
-            files.setdefault(_name_member(entry), target)
+            files.setdefault(read_member_name(entry), target)
     if unread:
         text = (
             f"its entries claim {unpacked} bytes unpacked; more than {MAX_TOTAL_BYTES} are not "

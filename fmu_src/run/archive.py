@@ -96,7 +96,7 @@ class Archive:
             self._require_safe(zip_entries)
             files = [entry for entry in zip_entries if not is_folder(entry)]
             self._require_unique(files)
-            self._entries = {entry.filename.replace("\\", "/"): entry for entry in files}
+            self._entries = {read_member_name(entry): entry for entry in files}
             if any("\\" in entry.filename for entry in zip_entries):
                 finding = caution(
                     check="archive-backslash",
@@ -126,7 +126,7 @@ class Archive:
 
     def _require_unique(self, files: Iterable[zipfile.ZipInfo]) -> None:
         """Raise ArtifactError for files with one name on some system, or the name of a folder."""
-        name_counts = Counter(entry.filename.replace("\\", "/").casefold() for entry in files)
+        name_counts = Counter(read_member_name(entry).casefold() for entry in files)
         for name, count in name_counts.items():
             if count > 1:
                 raise self._refusal(f"it has {count} entries named {quote(name)}")
@@ -213,11 +213,16 @@ def is_folder(entry: zipfile.ZipInfo) -> bool:
     return entry.filename.endswith(("/", "\\"))
 
 
+def read_member_name(entry: zipfile.ZipInfo) -> str:
+    """Return the name of an entry with '/' between folders, also where it has backslashes."""
+    return entry.filename.replace("\\", "/")
+
+
 def hazards(entry: zipfile.ZipInfo) -> Iterator[str]:
     """Yield a sentence for each reason why an entry is unsafe to unpack."""
     name = entry.filename
     label = quote(entry.filename)
-    parts = name.replace("\\", "/").split("/")
+    parts = read_member_name(entry).split("/")
     if not name:
         yield "an entry has no name."
     elif parts[0] == "" or _DRIVE.match(name) or ".." in parts:
