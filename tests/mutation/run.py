@@ -1,10 +1,10 @@
 """Share of small faults in the sources that the tests detect: run by `make mutate`.
 
 Random faults are inserted one by one into a clean copy of the tree. Each runs against the nearest
-tests first, then against those that import it within two steps and more distant ones
-(`nearest.toml`): those of `make test`, then of CI, until one fails or the CPU time per fault is
-used up. A test that fails with a fault is run again without it. Faults without observable effect
-are listed in `equivalent.toml` with the reason. C that does not compile is not a fault.
+tests first, those of `make test`, then of CI; then against those that import it within two steps
+and more distant ones (`nearest.toml`), until one fails or the CPU time per fault is used up. A test
+that fails with a fault is run again without it. Faults without observable effect are listed in
+`equivalent.toml` with the reason. C that does not compile is not a fault.
 """
 
 import argparse
@@ -300,7 +300,11 @@ class Tree:
         if not groups:
             return "survived", "no test is near; see nearest.toml"
         left = CPU
-        for (where, marked), tests in product(self._selections.items(), groups):
+        # The nearest tests of CI are seconds, so that they precede those that only import a source.
+        near, distant = groups[:1], groups[1:]
+        rounds = [*product(self._selections.items(), near)]
+        rounds += product(self._selections.items(), distant)
+        for (where, marked), tests in rounds:
             outcome = self._judge(source, fault.text, tests, marked, left)
             left -= outcome.used
             if "the C compiler failed" in outcome.output:

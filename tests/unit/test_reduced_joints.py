@@ -76,7 +76,12 @@ def test_numbers_of_a_law_are_the_nearest_ones_of_the_log() -> None:
     best, *_ = np.linalg.lstsq(columns, record.tau[moving], rcond=None)
     best_error = np.sqrt(np.mean((columns @ best - record.tau[moving]) ** 2))
     assert joint.price.rmse <= 1.03 * best_error
+    # The noise of the log is the law's error. It does not depend on the torques of the numbers.
+    assert joint.price.law_rmse == pytest.approx(0.3, rel=0.05)
     assert joint.price.law_rmse < 0.5 * joint.price.rmse
+    numbers = joint.frictionloss * columns[:, 0] + joint.damping * columns[:, 1]
+    lost = np.var(numbers - record.tau[moving]) - joint.price.law_rmse**2
+    assert joint.price.lost_variance == pytest.approx(lost / np.var(record.tau[moving]), abs=1e-3)
     assert joint.frictionloss != pytest.approx(10.0, rel=0.01)  # not the law's own coefficient
 
 

@@ -46,7 +46,14 @@ def write(path: Path, columns: dict[str, Array], digits: int = 4) -> Path:
         ({"t": (MICROSECONDS + 2**32 - 4_000_000) % 2**32 - 2**31}, "wrap = 4294967296"),
         ({"t_ms": (MICROSECONDS // 1000 + 60_000) % 2**16}, "wrap = 65536"),
         ({"nanosec_of_stamp": NANOSECONDS % BILLION}, "wrap = 1000000000"),
-        ({"time": (T + 86_396.0) % 86_400.0}, "wrap = 86400"),
+        *(
+            ({"time": (T + seconds - 4.0) % seconds}, f"wrap = {seconds}")
+            for seconds in (60, 3600, 43_200, 86_400)
+        ),
+        *(
+            ({"t_ms": (MICROSECONDS // 1000 + size - 4000) % size}, f"wrap = {size}")
+            for size in (10**6, 2**24, 10**9, 2**31)
+        ),
         ({"time": np.where(T < 7.0, T, T - 7.0)}, "restart = 'gap'"),
         ({"time_us": np.where(T < 7.0, MICROSECONDS, MICROSECONDS - 6_900_000)}, "restart = 'gap'"),
         ({"time": T[[*range(500), 501, 500, *range(502, ROWS)]]}, "sort = true"),

@@ -222,9 +222,9 @@ def model(tmp_path: Path) -> Robot:
     return Robot(RobotDescription(name="lift", model=path, joints=("lift", "arm")))
 
 
-def at_positions(highest: float, joint: int) -> Callable[[Robot], Iterable[Hypothesis]]:
+def at_positions(extreme: float, joint: int) -> Callable[[Robot], Iterable[Hypothesis]]:
     q = np.linspace([-0.4, -1.0], [1.0, 1.0], 100)
-    q[-1, joint] = highest
+    q[-1, joint] = extreme
     return lambda model: check_limits(as_part(replace(two_joints(100), q=q)), model)
 
 
@@ -239,6 +239,8 @@ LIMITS: dict[
 LIMITS = {
     "position of the turning joint": ("limits", lambda x: at_positions(x, 1), 2.07, 2.09),
     "position of the sliding joint": ("limits", lambda x: at_positions(x, 0), 1.53, 1.55),
+    "low position of the turning joint": ("limits", lambda x: at_positions(x, 1), -2.07, -2.09),
+    "low position of the sliding joint": ("limits", lambda x: at_positions(x, 0), -0.53, -0.55),
     "speed of the sliding joint": ("speed-limit", lambda x: at_speeds(x, 1.0), 0.08, 0.11),
     "speed of the turning joint": ("speed-limit", lambda x: at_speeds(0.01, x), 1.8, 2.1),
 }
@@ -384,6 +386,12 @@ CAUSES: dict[str, tuple[list[float], RobotDescription, float, dict[str, object]]
     ),
     # Any large ratio is close to a whole number in some unit.
     "a gear of 100": ([100.0, 1.0], TWO, 1.0, {}),
+    "a gear of 60": ([60.0, 1.0], TWO, 1.0, {}),
+    # A stated unit leaves less to chance.
+    "a gear of 60 before a motor in rpm": (
+        [60.0, 1.0], with_units(TWO, dq="rpm"), 1.0,
+        {"log.units.dq": (pytest.approx(1 / RPM / 60, rel=1e-5), "rpm")},
+    ),
     "nothing known": ([3.3, 1.0], TWO, 1.0, {}),
 }  # fmt: skip
 
