@@ -415,21 +415,21 @@ def _compare_to_rivals(error_table: LawErrors, law_name: str, ranked: Sequence[s
     ratios = error_table.ratios(law_name, len(rivals))
     rival_ratios = error_table.adjust({rival: ratios[rival] for rival in rivals})
     alike = [rival for rival in rivals if rival_ratios[rival].verdict == "alike"]
-    detectable_ratios = []
-    for rival in alike or rivals:
-        ratio = rival_ratios[rival].detectable
-        if ratio is not None:
-            detectable_ratios.append((ratio, rival))
+    better = [rival for rival in rivals if rival_ratios[rival].verdict == "better"]
+    by_detectable = sorted(
+        (ratio, rival)
+        for rival in alike or rivals
+        if (ratio := rival_ratios[rival].detectable) is not None
+    )
     middle_rival = rivals[0]
     detectable = None
-    if detectable_ratios:
-        detectable_ratios.sort()
+    if by_detectable:
         # The time grows with the detectable ratio, so that the middle law has the median time.
-        _, middle_rival = detectable_ratios[len(detectable_ratios) // 2]
-        detectable = (detectable_ratios[0][0], detectable_ratios[-1][0])
+        _, middle_rival = by_detectable[len(by_detectable) // 2]
+        detectable = (by_detectable[0][0], by_detectable[-1][0])
     return Unseparated(
         laws=tuple(alike),
-        better=tuple(rival for rival in rivals if rival_ratios[rival].verdict == "better"),
+        better=tuple(better),
         detectable=detectable,
         seconds=error_table.required_seconds(middle_rival, law_name, RECORDED, len(rivals)),
     )

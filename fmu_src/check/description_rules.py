@@ -298,20 +298,25 @@ def _clocks(model_description: ParsedDescription, variable: ParsedVariable) -> I
     if clocks and variable.variability not in ("discrete", "tunable"):
         yield "variable-clock", "has 'clocks', but is neither discrete nor tunable."
     if "previous" in variable.type_attributes:
-        previous = model_description.variable(integer(variable.type_attributes["previous"]))
         if not clocks or variable.variability != "discrete":
             yield "variable-clock", "has 'previous', but is not a discrete variable with 'clocks'."
-        if (
-            previous is None
-            or previous is variable
-            or previous.kind != variable.kind
-            or previous.variability != "discrete"
-            or previous.causality == "input"
-        ):
+        previous = model_description.variable(integer(variable.type_attributes["previous"]))
+        if not _can_be_previous(previous, variable):
             sentence = "has a 'previous' that is not another discrete variable of its type."
             yield "variable-clock", sentence
     if variable.kind == "Clock":
         yield from _check_clock(model_description, variable)
+
+
+def _can_be_previous(previous: ParsedVariable | None, variable: ParsedVariable) -> bool:
+    """Return whether a variable may hold the value that a clocked one had at its last tick."""
+    return (
+        previous is not None
+        and previous is not variable
+        and previous.kind == variable.kind
+        and previous.variability == "discrete"
+        and previous.causality != "input"
+    )
 
 
 def _check_clock(model_description: ParsedDescription, clock: ParsedVariable) -> Iterator[Problem]:

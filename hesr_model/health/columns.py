@@ -69,15 +69,17 @@ def _guess_open(
     guessed = {name: guess.columns[name] for name in candidates if name in guess.columns}
     changes: dict[str, Any] = {}
     reasons: dict[str, str] = {}
+
+    def settle(key: str, value: object, reason: str) -> None:
+        changes[key] = value
+        reasons[key] = f"likely: {reason}"
+
     for name, names in guessed.items():
-        changes[f"log.columns.{name}"] = names
-        reasons[f"log.columns.{name}"] = f"likely: {guess.reasons.get(name, 'it rises')}"
+        settle(f"log.columns.{name}", names, guess.reasons.get(name, "it rises"))
     if "dq" in open_quantities and "dq" not in guessed:
-        changes["log.columns.dq"] = ""
-        reasons["log.columns.dq"] = "likely: no column looks like a velocity"
+        settle("log.columns.dq", "", "no column looks like a velocity")
     for name, unit in _find_units(guess, guessed, description.log.units).items():
-        changes[f"log.units.{name}"] = unit
-        reasons[f"log.units.{name}"] = f"likely: {guess.reasons[name]}"
+        settle(f"log.units.{name}", unit, guess.reasons[name])
     return _add_constants(
         ColumnProposal(
             description=apply_changes(description, changes),

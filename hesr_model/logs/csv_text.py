@@ -606,32 +606,37 @@ def _parse_list(cell: str) -> list[float]:
 
 
 def _join_chunks(dialect: _Dialect, chunks: Iterable[_Chunk]) -> LogTable:
-    numbers = array("q")
+    """Join the chunks of a file, without columns that have neither a name nor a number."""
+    line_numbers = array("q")
     commented_count = 0
-    names = list[str]()
+    names: Sequence[str] = ()
     columns: dict[int, Column] = defaultdict(partial(Column, reads_units=True))
     for chunk in chunks:
         names = chunk.names
         for k, cells in enumerate(chunk.cells):
-            columns[k].add(cells, len(numbers), chunk.decimal)
-        numbers.extend(chunk.numbers)
+            columns[k].add(cells, len(line_numbers), chunk.decimal)
+        line_numbers.extend(chunk.numbers)
         commented_count += chunk.commented_count
     arrays = [columns[k].concatenate() for k in range(len(names))]
     # Spreadsheets write cells of columns that were deleted.
     kept_columns = [k for k, name in enumerate(names) if name or not _is_empty(arrays[k])]
     names = [name or f"Unnamed: {k}" for k, name in enumerate(names)]  # as pandas calls them
-    units = {names[k]: columns[k].unit for k in kept_columns}
-    if len(dialect.unit_row) == len(names):
-        units = {names[k]: columns[k].unit or dialect.unit_row[k] for k in kept_columns}
+    unit_row = dialect.unit_row
+    if len(unit_row) != len(names):
+        unit_row = ("",) * len(names)
+    units = {names[k]: columns[k].unit or unit_row[k] for k in kept_columns}
+    left_out = {}
+    if commented_count:
+        left_out[_COMMENTS] = commented_count
     return LogTable(
         dialect.path,
         tuple(names[k] for k in kept_columns),
-        len(numbers),
+        len(line_numbers),
         [arrays[k] for k in kept_columns].__getitem__,
         dialect.other_names,
-        line_numbers=numbers,
+        line_numbers=line_numbers,
         units={name: unit for name, unit in units.items() if unit},
-        left_out={_COMMENTS: commented_count} if commented_count else {},
+        left_out=left_out,
     )
 
 

@@ -105,20 +105,29 @@ def _find_records(data: Any) -> Records:
     longest = {name: values for name, values in columns.items() if len(values) == row_count > 0}
     if not longest:
         raise ValueError("no lists")
-    rows: Sequence[Mapping[str, Any]] = [
-        dict(zip(longest, row, strict=True)) for row in zip(*longest.values(), strict=True)
-    ]
-    used_names = set(longest)
-    for name, values in longest.items():
-        if all(isinstance(value, dict) for value in values):
-            rows = values
-            used_names = {name}
-            break
+    records, used_names = _choose_records(longest)
     others = []
     for name, value in values_by_name.items():
-        if name not in used_names:
-            others.append(f"{name} ({len(value)} entries)" if name in columns else name)
-    return rows, others
+        if name in used_names:
+            continue
+        if name in columns:
+            name = f"{name} ({len(value)} entries)"
+        others.append(name)
+    return records, others
+
+
+def _choose_records(
+    lists: Mapping[str, list[Any]],
+) -> tuple[Sequence[Mapping[str, Any]], set[str]]:
+    """Return the first list of objects, else the lists as columns, and the names of what is used.
+
+    All lists are equally long.
+    """
+    for name, values in lists.items():
+        if all(isinstance(value, dict) for value in values):
+            return values, {name}
+    rows = zip(*lists.values(), strict=True)
+    return [dict(zip(lists, row, strict=True)) for row in rows], set(lists)
 
 
 def _find_values(name: str, data: Any) -> Iterator[tuple[str, Any]]:
