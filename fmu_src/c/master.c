@@ -106,7 +106,7 @@ static bool read_outputs(System *s, int64_t i) {
     return is_good(s->status);
 }
 
-/* Communication step k, in which each station sees the outputs of those before it. */
+/* Take communication step k by Gauss-Seidel: a station sees new outputs of those before it. */
 static bool gauss_seidel(System *s, int64_t k) {
     bool good = true;
     for (int64_t i = 0; good && i < s->count; i++) {
@@ -117,7 +117,7 @@ static bool gauss_seidel(System *s, int64_t k) {
     return good;
 }
 
-/* Communication step k, in which all stations see the outputs of the step before. */
+/* Take communication step k by Jacobi: all stations see the outputs of the previous step. */
 static bool jacobi(System *s, int64_t k) {
     bool good = true;
     for (int64_t i = 0; good && i < s->count; i++) {
