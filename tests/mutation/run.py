@@ -180,12 +180,13 @@ class Tree:
         return found
 
     def nearest(self, source: str) -> list[str]:
-        """Tests named like the source, then those of the first matching entry."""
+        """Tests named like the source, those of the first matching entry, records of numbers."""
         entry = next((e for e in table("nearest.toml") if fnmatch(source, str(e["sources"]))), None)
         listed = [t for e in (entry["tests"] if entry else ()) for t in self.tests(e)]
         # Names of files are unique within the packages, but not across them.
         if source.startswith("hesr_model/"):
-            return self.sources(f"tests/unit/**/test_{Path(source).stem}.py") + listed
+            named = self.sources(f"tests/unit/**/test_{Path(source).stem}.py")
+            return [*named, *listed, *self.sources("tests/numbers/test_*.py")]
         return listed if entry else self.sources(f"tests/**/test_{Path(source).stem}.py")
 
     def _importing(self, source: str) -> list[list[str]]:
