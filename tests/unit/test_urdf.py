@@ -178,6 +178,24 @@ def test_followers_limit_their_leader(
     assert found == ([Containing(conflict)] if "9" in mimic else [])
 
 
+@pytest.mark.parametrize(
+    ("stated", "expected"),
+    [
+        ('lower="-1e30" upper="2"', (-np.inf, 2.0)),
+        ('lower="-1" upper="1e30"', (-1.0, np.inf)),
+        ('lower="-1e30" upper="1e30"', (-np.inf, np.inf)),
+        ('lower="2" upper="-1"', (-np.inf, np.inf)),  # reversed
+    ],
+)
+def test_a_limit_may_be_infinite_on_one_side(
+    stated: str, expected: tuple[float, float], tmp_path: Path
+) -> None:
+    limit = f'<limit {stated} effort="5" velocity="3"/>'
+    lower, upper, _ = Robot(chain(tmp_path, {"more": limit}, {})).limits
+    assert (lower[0], upper[0]) == expected
+    assert (lower[1], upper[1]) == (-1.0, 2.0)
+
+
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 def test_absent_limits_are_infinite(tmp_path: Path, kind: str) -> None:
     robot = Robot(chain(tmp_path, {"kind": kind, "more": ""}, {"kind": kind}))

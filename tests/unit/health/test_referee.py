@@ -60,6 +60,15 @@ def test_a_race_is_won_by_more_than_its_scatter() -> None:
     assert uncertainty == pytest.approx(300.0 * error, abs=0.5)
 
 
+def test_the_error_of_a_gain_is_the_scatter_of_blocks() -> None:
+    """Of three rows each is a block, whose gains 1/4, 1/8 and 3/8 are of 1/4, 1/4 and 1/2."""
+    few = Race(
+        rival="nothing", rival_squares=np.array([1.0, 1.0, 2.0]), squares=np.array([0.0, 0.5, 0.5])
+    )
+    assert few.gain.value == pytest.approx(0.75)
+    assert few.gain.error == pytest.approx(np.sqrt(2.0 * 0.0625**2 * 3.0 / 2.0))
+
+
 def test_a_statistic_lies_outside_its_range_by_more_than_its_error() -> None:
     outcomes = [
         Statistic(name="x", estimate=Estimate(value=value, error=0.1), low=0.0, high=1.0).outcome
