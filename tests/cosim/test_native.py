@@ -88,6 +88,16 @@ def test_a_failed_step_gives_the_same_error(lag_fmu, order, component):
     assert_same(one, other)
 
 
+def test_a_silent_failure_names_its_function_and_status(lag_fmu, monkeypatch):
+    """Many FMUs log nothing."""
+    monkeypatch.setattr(FmuInstance, "_log", lambda *_: None)
+    spec = lags(lag_fmu)
+    spec.components[0].start["refused"] = 25.0
+    one, other = both(spec)
+    assert "fmi2DoStep failed with status 2" in str(one.failure)
+    assert_same(one, other)
+
+
 def test_a_refused_input_gives_the_same_error(lag_fmu):
     """A value near the largest double overflows on its way."""
     start = {"T": 1e-3, "x_start": 1.7e308, "u": -1.7e308}

@@ -197,7 +197,7 @@ class Tree:
         indirect = {test for module in direct for test in self._importers(module)}
         return [
             sorted(
-                (path for path in found if Path(path).name.startswith("test_")),
+                filter(_holds_tests, found),
                 key=lambda test: seconds.get(test, math.inf),
             )
             for found in (direct, indirect - direct)
@@ -329,6 +329,12 @@ def faults(tree: Tree, patterns: Sequence[str], seed: int) -> Iterator[tuple[str
         fault = mutant(tree.root / source, place, chance.choice(choices))
         if is_code(source, fault.text):
             yield source, fault
+
+
+def _holds_tests(path: str) -> bool:
+    """Return whether a module has tests of results, neither of speed nor of other tools."""
+    is_other = path.startswith(("tests/benchmarks/", "tests/interop/", "tests/mutation/"))
+    return Path(path).name.startswith("test_") and not is_other
 
 
 def is_code(source: str, text: str) -> bool:
