@@ -268,6 +268,26 @@ def test_foreign_code_has_few_rights(
 
 
 @linux
+@pytest.mark.parametrize("deed", ["write", "fork"])
+def test_foreign_code_has_few_rights_on_older_kernels(
+    hostile_lag: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, deed: str
+) -> None:
+    """Without file descriptors of processes, each foreign FMU starts a Python of its own."""
+    monkeypatch.delattr(os, "pidfd_open")
+    before = set(children())
+    with FmuInstance(hostile_lag):
+        (own,) = set(children()) - before
+        assert "python" in psutil.Process(own).cmdline()[0]
+        assert psutil.Process(own).ppid() == os.getpid()
+    (tmp_path / "secret").write_text("secret")
+    monkeypatch.setenv("TARGET", str(tmp_path / "secret"))
+    monkeypatch.setenv("DEED", f"fmi2DoStep try {deed}")
+    with pytest.raises(SimulationError, match=rf"exit code {REFUSED[deed]}\b"):
+        go(hostile_lag)
+    assert (tmp_path / "secret").read_text() == "secret"
+
+
+@linux
 @pytest.mark.parametrize("deed", ["read", "create"])
 def test_foreign_code_has_its_scratch_folder(
     hostile_lag: Path, monkeypatch: pytest.MonkeyPatch, deed: str
