@@ -57,6 +57,25 @@ def test_jacobi_uses_values_at_the_start_in_any_order(fakes, first):
     np.testing.assert_allclose(run(spec).vector("sum.y")[:, 0], y, rtol=1e-13, atol=1e-15)
 
 
+@pytest.mark.parametrize("order", ["gauss_seidel", "jacobi"])
+def test_connected_values_are_converted_in_order(fakes, order):
+    spec = fakes(
+        {"clock": "clock", "sum": "fake"},
+        {"sum.u[1]": "clock.y", "sum.u[2]": "clock.y"},
+        observe=["sum.y"],
+        order=order,
+        conversions={
+            "sum.u[1]": ({"factor": 2.0, "offset": 1.0}, {"factor": 0.5}),
+            "sum.u[2]": ({"table": {0.1: 7.0}},),
+        },
+    )
+    clock = 0.1 * (np.arange(1, 11) if order == "gauss_seidel" else np.arange(10))
+    first = np.cumsum(0.1 * (2.0 * clock + 1.0) * 0.5)
+    second = np.cumsum(0.1 * np.where(np.isclose(clock, 0.1), 7.0, clock))
+    y = run(spec).vector("sum.y")[1:]
+    np.testing.assert_allclose(y, np.column_stack([first, second]), rtol=1e-13)
+
+
 def test_components_step_in_their_order_by_a_step_counter(fakes):
     run(fakes({"b": "clock", "a": "clock"}, stop=0.7, observe=["a.y"]))
     starts = [("b", "start"), ("a", "start")]
