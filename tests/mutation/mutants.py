@@ -163,9 +163,15 @@ class _SwappedArguments(Operator):  # type: ignore[misc]  # untyped
         return ()
 
 
+_COMMUTATIVE = ("max", "min", "maximum", "minimum", "hypot")  # which any order of arguments suits
+
+
 def _neighbours(node: NodeOrLeaf) -> list[tuple[NodeOrLeaf, NodeOrLeaf]]:
     """Return pairs of positional arguments of a call that differ."""
     if node.type != "arglist":
+        return []
+    function = node.get_first_leaf().get_previous_leaf().get_previous_leaf()  # before "("
+    if function is not None and function.value in _COMMUTATIVE:
         return []
     arguments = [child for child in node.children if child.type != "operator"]
     return [

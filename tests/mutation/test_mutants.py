@@ -78,6 +78,10 @@ def test_statements_arguments_and_slices_have_faults(tmp_path: Path) -> None:
     } <= changes("a.py", text, tmp_path)
 
 
+def test_arguments_in_any_order_have_no_fault(tmp_path: Path) -> None:
+    assert not changes("a.py", "a = max(b, c)\nd = np.minimum(a, b)\n", tmp_path)
+
+
 def test_c_faults_are_generated(tmp_path: Path) -> None:
     found = changes("a.c", C, tmp_path)
     addition = "sum += fabs(a[i]) * 2.5; /* nor here: 1 + 1 */"
