@@ -69,7 +69,8 @@ def test_laws_are_compared_on_logs(arm: RobotDescription, file: Path) -> None:
     body = hesr.identify(file, robot=arm, progress=lambda *one: told.append(one))
     assert {one[0]: one for one in reversed(told)}["identifying"] == ("identifying", 0, 1)
     told.clear()
-    laws = {"half": stribeck(scale=0.5), "own": stribeck(WIDE, SLOW, WIDE)}
+    half = replace(stribeck(scale=0.5), robot="loader")
+    laws = {"half": half, "own": stribeck(WIDE, SLOW, WIDE)}
     report = hesr.test(
         laws, on=[file], robot=arm, rigid_body=body, progress=lambda *one: told.append(one)
     )
@@ -101,6 +102,8 @@ def test_laws_are_compared_on_logs(arm: RobotDescription, file: Path) -> None:
     assert set(data) == {"prediction", "replicates", "simulation", "passivity", "properties"}
     assert data["prediction"]["laws"]["own"]["rmse"] == list(scores.laws["own"].rmse)
     assert [one["verdict"] for one in data["passivity"]["own"]] == ["proven"] * 3
+    (doubt,) = (finding for finding in report.findings if finding.check == "other-robot")
+    assert "'loader'" in doubt.found
     assert data["simulation"]["joints"] == ["j1", "j2", "j3"]
     assert report.passed
 

@@ -16,6 +16,7 @@ from rule_changes import put
 from cosim.workflow.check import check
 from fmu_src import export_fmu
 from fmu_src.check.external import NO_VDMCHECK
+from hesr_model.errors import ArtifactError
 
 
 @dataclass
@@ -202,6 +203,14 @@ def test_hostile_masters_are_simulated(make_law, make_model, tmp_path):
     verdict = f"{fmu}: passed, no finding of {RULE_COUNT + 1} rules."
     assert found == Answer(0, [verdict, f"  {PLATFORMS}", f"  {RECORD}"], "")
     assert json.loads((tmp_path / "o.json").read_text(encoding="utf-8"))["passed"]
+
+
+@pytest.mark.parametrize("format_name", ["junit", "sarif"])
+def test_a_file_of_findings_is_refused_before_any_check(source_fmu, tmp_path, format_name):
+    begun = []
+    with pytest.raises(ArtifactError, match="cannot be written there"):
+        check(source_fmu, progress=lambda *stage: begun.append(stage), **{format_name: tmp_path})
+    assert begun == []
 
 
 OWN_CHECK = """
