@@ -286,6 +286,28 @@ def test_matplotlib_gets_a_folder_only_if_home_is_not_writable(
     monkeypatch.delenv("MPLCONFIGDIR")
 
 
+@pytest.mark.skipif(os.name != "posix", reason="limits of processes are those of POSIX")
+@pytest.mark.parametrize(
+    ("limited", "least", "sentence"),
+    [
+        ("RLIMIT_AS", 1 << 30, "memory is 300 MB; at least 1073 MB"),
+        ("RLIMIT_NOFILE", 64, "open files is 63; at least 64"),
+    ],
+)
+def test_small_limits_are_named(
+    limited: str, least: int, sentence: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import resource
+
+    limits = {getattr(resource, limited): min(300_000_000, least - 1)}
+    infinite = resource.RLIM_INFINITY
+    monkeypatch.setattr(resource, "getrlimit", lambda kind: (limits.get(kind, infinite),) * 2)
+    with pytest.raises(ConfigError, match=sentence):
+        require_environment()
+    limits[getattr(resource, limited)] = least
+    require_environment()
+
+
 @pytest.mark.parametrize("date", ["x", "-1", "1.5", "\u0663", "9" * 12])
 def test_dates_are_whole_seconds(date: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SOURCE_DATE_EPOCH", date)

@@ -10,7 +10,9 @@ from rich.console import Console
 from small_study import Hesr, hesr_here
 
 from cosim.report.tables.laws import convention
+from cosim.report.tables.table import ResultTable
 from cosim.report.tables.terminal import TerminalTable
+from cosim.workflow.check import check
 from fmu_src import model_file
 from fmu_src.friction.convention import measure, run
 from fmu_src.friction.embedded_model import EMBEDDED_MODEL
@@ -112,6 +114,13 @@ def test_a_friction_fmu_with_a_broken_description_is_still_checked(
     assert (answer.code, answer.err) == (1, "")
     assert "modelDescription.xml:" in answer.out
     assert f"not run: Convention: {broken}: not a readable FMU (" in answer.out
+
+
+def test_each_file_has_its_table(friction_fmu: Path) -> None:
+    report = check(friction_fmu, kind="convention")
+    (shown,) = (table for table in report.tables() if isinstance(table, ResultTable))
+    assert friction_fmu.name in shown.caption
+    assert report.result()[0]["convention"]["replay"]["hold"]
 
 
 def test_results_are_given_as_table_and_json(friction_fmu: Path) -> None:

@@ -4,7 +4,7 @@ import re
 import shutil
 import subprocess
 from collections.abc import Callable
-from ctypes import c_double, c_size_t, c_uint32, c_void_p
+from ctypes import byref, c_double, c_size_t, c_uint32, c_void_p
 from itertools import permutations
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -283,6 +283,23 @@ def test_event_indicators_are_also_read_with_other_variables(pair, tmp_path) -> 
         for size in (*range(len(expected)), len(expected) + 1):
             with pytest.raises(Exception, match="failed with status 3"):
                 read(size)
+
+
+@pytest.mark.parametrize("pair", ["laws", "Table I"], indirect=True)
+def test_counts_are_those_of_the_description(pair, tmp_path) -> None:
+    new = New(pair[1], tmp_path, FMU3Model)
+    indicators = 0
+    if "event_indicator" in new.variables:
+        indicators = new.size("event_indicator")
+    states = sum(variable.derivative is not None for variable in new.variables.values())
+    assert states > 0
+    for name, expected in (("EventIndicators", indicators), ("ContinuousStates", states)):
+        function = new.fmu.dll[f"fmi3GetNumberOf{name}"]
+        found = c_size_t(4711)
+        assert function(c_void_p(new.fmu.component), byref(found)) == 0
+        assert found.value == expected
+        assert function(c_void_p(), byref(found)) == 3
+        assert function(c_void_p(new.fmu.component), c_void_p()) == 3
 
 
 def test_a_solver_runs_the_fmu(friction3, table1_fmu) -> None:
