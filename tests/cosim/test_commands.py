@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from plugin_packages import lay_package
 from small_study import hesr_here
 
 import hesr
@@ -170,3 +172,42 @@ def test_unusable_arguments_are_refused(
         with pytest.raises(HesrError) as caught:
             call()
         assert sentence in str(caught.value)
+
+
+MOVING_JOB = """
+from pathlib import Path
+from typing import Any
+
+from cosim.workflow.answer import Answer, PluginJob
+
+
+class Moved(Answer):
+    format = "moved-1"
+
+    def __init__(self, path, options):
+        self.path, self.options = path, options
+
+    def summary(self):
+        return "moved"
+
+    def result(self):
+        return {}
+
+
+JOB = PluginJob(verb="run", key="moving", run=lambda path, **options: Moved(path, options))
+"""
+
+
+@pytest.mark.parametrize("output", [None, "there"])
+def test_a_job_of_another_package_gets_paths(
+    output: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    points = {"hesr.jobs": {"moving": "moving_job:JOB"}}
+    monkeypatch.syspath_prepend(lay_package(tmp_path, points, modules={"moving_job": MOVING_JOB}))
+    file = tmp_path / "moving.toml"
+    file.write_text("moving = 1\n", encoding="utf-8")
+    answer: Any = hesr.run(str(file), output=output)
+    assert answer.path == file
+    assert answer.options["output"] == (output and Path(output))
+    assert answer.options["measured"] == []
+    assert not answer.options["platform"]

@@ -55,11 +55,14 @@ def test_verbosity_decides_what_is_printed_and_logged(
     quiet: bool, verbose: bool, levels: list[str], capsys: Capture
 ) -> None:
     log = logging.getLogger("cosim.made_up")
+    parent = logging.getLogger("cosim")
+    level_before = parent.level
     with direct_output(quiet=quiet, verbose=verbose, json_file=None):
         click.echo("result")
         for level in ("DEBUG", "INFO", "WARNING", "ERROR"):
             log.log(logging.getLevelName(level), "as %s", level)
     log.error("afterwards")
+    assert parent.level == level_before
     said = capsys.readouterr()
     assert said.out == ("" if quiet else "result\n")
     lines = said.err.splitlines()
