@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from small_study import uf850
 from small_twin import MOTIONS
 
-from cosim.study.run import Outcome, run_study
+from cosim.study.run import Outcome, _provenance, run_study
 from cosim.study.scores import ORACLE
 from cosim.study.steps import Job
 from cosim.study.study import Part, Study
@@ -22,6 +22,8 @@ from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot
 from hesr_model.support.files import models_folder
+from hesr_model.support.owner import Owner
+from hesr_model.support.progress import silent
 from hesr_model.support.typed_files import to_json
 
 BASELINES = select_laws("baseline")
@@ -254,6 +256,26 @@ def tiny(folder: Path, *, refining: str = "dahl", ripple: str = "true") -> Path:
     )
     study.write_text(text, encoding="utf-8")
     return study
+
+
+@pytest.mark.parametrize(
+    ("of_study", "of_robot", "expected"),
+    [
+        (Owner(author="A"), Owner(author="B"), "A"),
+        (Owner(author="A"), Owner(), "A"),
+        (Owner(), Owner(author="B"), "B"),
+        (Owner(), Owner(), None),
+    ],
+)
+def test_results_have_the_owner_of_the_study_or_else_of_the_robot(
+    of_study: Owner, of_robot: Owner, expected: str | None, tmp_path: Path
+) -> None:
+    path = tiny(tmp_path)
+    study = Study.read(path).model_copy(update={"owner": of_study})
+    job = Job(study=study, path=path, progress=silent)
+    job.__dict__["robot"] = job.robot.model_copy(update={"owner": of_robot})
+    found = _provenance(job, dict.fromkeys(job.trained_on, path))
+    assert found.get("owner") == (expected and {"author": expected})
 
 
 @pytest.fixture(scope="module")

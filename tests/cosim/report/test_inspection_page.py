@@ -1,5 +1,6 @@
 """The page of `hesr inspect`: findings before and after the proposal, and missing figures."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -53,3 +54,17 @@ def test_a_log_without_motion_has_no_figure(arm_log: Log, tmp_path: Path) -> Non
     assert "Motion and torque" not in page
     assert "<figure" not in page
     assert "What this log cannot show" in page
+
+
+def test_the_page_has_the_size_of_each_log(arm_log: Log, tmp_path: Path) -> None:
+    """41 rows of 300 ms."""
+    short = replace(
+        arm_log,
+        t=0.3 * np.arange(41),
+        **{name: getattr(arm_log, name)[:41] for name in ("q", "dq", "tau")},
+    )
+    short.write(tmp_path / "short.csv")
+    page = page_of(inspect_logs([tmp_path / "short.csv"]), tmp_path)
+    (row,) = re.findall(r"<tr[^>]*><th[^>]*>short</th>(.*?)</tr>", page, re.DOTALL)
+    cells = re.findall(r"<td[^>]*>(.*?)</td>", row, re.DOTALL)
+    assert cells == ["41", "12.0", "3.333", "0", "0", "0"]
