@@ -33,7 +33,8 @@ STEPS = (1e-4, 1e-3, 5e-3, 1e-2)  # [s]
 REFERENCE = 1e-6  # [s]
 GRID = 1e-2  # [s] duration of a held torque
 GATE = ("stribeck", "parfam_v", "parfam_h", "mlp_h", "lugre", "lugre_load", "parfam_s")
-LAWS = STUDIED if os.environ.get("ALL_LAWS") else GATE
+EXPLAINING = tuple(name for name in STUDIED if name not in ("none", "constant"))
+LAWS = EXPLAINING if os.environ.get("ALL_LAWS") else GATE
 FORGETS = tuple(name for name in ("parfam_v", "parfam_h", "mlp_h", "rbfnn_h") if name in LAWS)
 """Laws without memory of position: no state, or one that decays at rest (the paper's h)."""
 NETWORKS = ("mlp_h", "rbfnn_h")
