@@ -9,13 +9,19 @@ import pytest
 from containing import Containing, OneSentence
 from small_study import Hesr, contents, hesr_here, uf850
 
-from cosim.study.sample_logs import is_sample, mark_samples
+from cosim.study.sample_logs import (
+    is_sample,
+    mark_samples,
+    plausible_friction,
+    sample_settings,
+)
 from cosim.study.starter import start
 from cosim.study.study import Study
 from hesr_model.errors import ConfigError, RobotError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.health.examine import examine
 from hesr_model.logs.robot_log import Log
+from hesr_model.motions.excitation import random_motions
 from hesr_model.rigid_body.identification import identify
 from hesr_model.robots.robot import Robot, RobotDescription, to_description
 from hesr_model.support.files import sha256
@@ -339,6 +345,26 @@ def test_a_slow_joint_has_sample_logs_that_identify_it(tmp_path: Path) -> None:
     assert 0.0 < np.max(np.abs(log.dq)) < 0.0005
     assert not examine([log], robot.description, robot).findings
     assert identify([log], robot).parameters.size
+
+
+def test_friction_of_sample_logs_is_plausible(arm_model: Robot) -> None:
+    (motion,) = random_motions(arm_model, sample_settings(arm_model), 1, 0)
+    q, dq, ddq = motion.sample(np.arange(0.0, 20.0, 0.005))
+    torque = np.abs(arm_model.torque(arm_model.nominal_parameters, q, dq, ddq)).max(axis=0)
+    for law, largest, speed, travel in zip(
+        plausible_friction(arm_model, motion),
+        np.maximum(torque, torque.max() / 20.0),
+        np.abs(dq).max(axis=0),
+        np.ptp(q, axis=0),
+        strict=True,
+    ):
+        values = law.values
+        assert values["F_c"] == pytest.approx(0.15 * largest)
+        assert values["F_s"] == pytest.approx(1.3 * values["F_c"])
+        # At the largest speed viscous friction is that of Coulomb.
+        assert values["sigma_2"] * speed == pytest.approx(values["F_c"])
+        assert values["v_s"] == pytest.approx(0.05 * speed)
+        assert values["F_c"] / values["sigma_0"] == pytest.approx(1e-3 * travel)
 
 
 # The hand of Baxter's arm: a fixed joint and the link it holds have one name.

@@ -218,6 +218,15 @@ def results(tmp_path: Path) -> Results:
     )
 
 
+def test_units_are_those_of_a_joint_or_of_all(results: Results) -> None:
+    """The second joint slides."""
+    models = {name: replace(model, sliding=(False, True)) for name, model in results.models.items()}
+    mixed = replace(results, models=models)
+    assert [mixed.unit("N.m", j) for j in range(2)] == ["N.m", "N"]
+    assert mixed.unit("N.m") == "N.m (N where it slides)"
+    assert [results.unit("N.m", j) for j in (0, 1, None)] == ["N.m"] * 3
+
+
 _NUMBER = re.compile(r"-?\d+\.\d{4,}(e-\d+)?")
 
 
