@@ -39,8 +39,8 @@ from mutants import Mutant, mutant, variants
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 CPU = 90.0  # CPU seconds of tests per fault
-# CPU seconds after which a test that needs a third of them has no end; a study that many tests share
-# takes half of them.
+# CPU seconds after which a test that needs a third of them has no end. A study that many tests
+# share takes half of them.
 TEST_CPU = 60.0
 TEST_WALL = 300.0  # [s] after which a test waits for ever
 _NO_END = "no end"  # of a test
