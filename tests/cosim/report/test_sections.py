@@ -300,6 +300,7 @@ def test_the_first_layer(results: Results) -> None:
     first = summary.summary(results)
     assert (first["law"], first["fmu"], first["laws"]) == ("Stribeck", "fmus/stribeck.fmu", 3)
     assert (first["findings"], first["winners"]) == (3, [("LuGre", "stiff")])
+    assert [sentence.rpartition(": ")[2] for sentence in first["first"]] == ["one", "two"]
     assert [row.cells[0].value for row in first["errors"].rows] == [
         pytest.approx(error) for error in results.comparisons["unseen"].laws["stribeck"].rmse
     ]
