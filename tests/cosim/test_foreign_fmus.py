@@ -268,6 +268,7 @@ def test_foreign_code_has_few_rights(
 
 
 @linux
+@pytest.mark.ci
 @pytest.mark.parametrize("deed", ["write", "fork"])
 def test_foreign_code_has_few_rights_on_older_kernels(
     hostile_lag: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, deed: str

@@ -360,6 +360,28 @@ def test_models_follow_inputs_between_rows(fmi: Any, tmp_path: Path) -> None:
     np.testing.assert_allclose(found.signals["y"], expected, rtol=1e-3)
 
 
+ENDLESS = {
+    "info->nextEventTimeDefined = fmi2True;"
+    "info->nextEventTime = instance->memory.component.time + 1e-9;": "more than 10000 events",
+    "info->newDiscreteStatesNeeded = fmi2True;": "iteration of its events does not end",
+}
+"""Changes of C sources by which events never end, and what is said."""
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("added", ENDLESS, ids=["one after the other", "at one time"])
+def test_a_model_whose_events_never_end_is_refused(
+    added: str, lag_fmu: Path, tmp_path: Path
+) -> None:
+    cleared = "memset(info, 0, sizeof *info);"
+    changes = {"fmi2_continuous.c": ((cleared, cleared + added),)}
+    whole = rebuild(lag_fmu, changes, tmp_path / "Whole.fmu")
+    only = (r"<CoSimulation [^>]*(/>|>.*?</CoSimulation>)", "")
+    fmu = edited(whole, tmp_path / "Endless.fmu", only)
+    with pytest.raises(SimulationError, match=ENDLESS[added]):
+        hesr.simulate(fmu, stop=1.0, step=0.25).require_success()
+
+
 FMI_1 = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="1.0" modelName="L" modelIdentifier="L" guid="1"
   numberOfContinuousStates="0" numberOfEventIndicators="0"><ModelVariables><ScalarVariable name="y"
