@@ -135,3 +135,25 @@ def test_the_top_level_has_known_names_and_no_links() -> None:
     assert not links
     top_level = {name.split("/")[0] for *_, name in entries}
     assert top_level <= TOP_LEVEL
+
+
+def is_loose(call: ast.Call) -> bool:
+    """Return whether the default of `pytest.approx`, 1e-12, exceeds a relative tolerance."""
+    is_approx = isinstance(call.func, ast.Attribute) and call.func.attr == "approx"
+    stated = {keyword.arg: keyword.value for keyword in call.keywords}
+    relative = stated.get("rel")
+    if not is_approx or "abs" in stated or not isinstance(relative, ast.Constant):
+        return False
+    return isinstance(relative.value, float) and relative.value <= 1e-12
+
+
+def test_tight_relative_tolerances_hold_for_small_values() -> None:
+    """Of a value of 1, rel=1e-15 accepts errors of 1e-12 unless abs=0.0 is stated."""
+    loose = []
+    for path in sorted((ROOT / "tests").rglob("test_*.py")):
+        text = path.read_text(encoding="utf-8")
+        if not re.search(r"rel=[\d.]*e-", text):
+            continue
+        calls = (node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call))
+        loose += [f"{path.relative_to(ROOT)}:{call.lineno}" for call in calls if is_loose(call)]
+    assert loose == []

@@ -339,7 +339,7 @@ def test_numbers_are_known_or_identified(
     found = dict(zip(body.names, body.parameters, strict=True))
     assert {body.names[k] for k in body.base} == {f"motor.{name}" for name in unknown}
     for name, value in known.items():
-        assert found[f"motor.{name}"] == pytest.approx(value, rel=1e-12)
+        assert found[f"motor.{name}"] == pytest.approx(value, rel=1e-12, abs=0.0)
     for name, value in unknown.items():
         assert found[f"motor.{name}"] == pytest.approx(value, rel=0.01)
     coulomb, viscous, offset = body.friction[0]

@@ -131,7 +131,7 @@ def test_ratios_are_taken_to_lugre_or_else_to_the_first_law(
     for joint in range(2):
         for name, row in scores.ratios.laws.items():
             errors = [scores.laws[law].rmse[joint] for law in (name, "lugre")]
-            assert row[joint].value == pytest.approx(errors[0] / errors[1], rel=1e-12)
+            assert row[joint].value == pytest.approx(errors[0] / errors[1], rel=1e-12, abs=0.0)
     del wrong["lugre"]
     assert compare(records, wrong).ratios.reference == "stribeck"
     assert compare(records, {"parfam_h": wrong["parfam_h"]}).ratios.laws == {}
@@ -143,7 +143,7 @@ def test_scores_pool_the_logs_of_a_joint(records: list[list[FrictionRecord]]) ->
     assert scores.joints == ("j1", "j2")
     for joint, (of_joint, predicted) in enumerate(zip(records, wrong, strict=True)):
         pooled = np.concatenate([p - r.tau for r, p in zip(of_joint, predicted, strict=True)])
-        assert scores.laws["made"].rmse[joint] == pytest.approx(rmse(pooled), rel=1e-12)
+        assert scores.laws["made"].rmse[joint] == pytest.approx(rmse(pooled), rel=1e-12, abs=0.0)
 
 
 def test_a_comparison_is_written_as_json(records: list[list[FrictionRecord]]) -> None:
@@ -241,7 +241,7 @@ def test_each_class_of_inputs_has_its_strongest_classic_law_as_reference(
     assert "lugre_load" not in scores.ratios.laws  # it is stronger than laws with fewer inputs
     found = scores.ratios.laws["parfam_hx"][0].value
     rmses = [scores.laws[law].rmse[0] for law in ("parfam_hx", "lugre_load")]
-    assert found == pytest.approx(rmses[0] / rmses[1], rel=1e-12)
+    assert found == pytest.approx(rmses[0] / rmses[1], rel=1e-12, abs=0.0)
     text = shown(TerminalTable(errors("unseen", scores, inputs=inputs)))
     assert "the strongest classic law" in " ".join(text.split())
 

@@ -117,7 +117,10 @@ def test_quantities_and_display_units_are_given(table1_fmu):
     }
     units = {u.name: u for u in about.unitDefinitions}
     (degrees,) = units["rad"].displayUnits
-    assert (degrees.name, degrees.factor * math.pi) == ("deg", pytest.approx(180.0, rel=1e-15))
+    assert (degrees.name, degrees.factor * math.pi) == (
+        "deg",
+        pytest.approx(180.0, rel=1e-15, abs=0.0),
+    )
 
 
 def test_the_sign_of_the_torque_is_documented(table1_fmu):

@@ -61,7 +61,7 @@ def test_changed_coefficients_and_steps_take_effect(table1, binary) -> None:
         binary.set(c, dq=0.05 * np.cos(0.3 * k))
         assert binary.step(c, time, step) == 0
         h, time = moved(h, 0.05 * np.cos(0.3 * k), step, alpha, beta), time + step
-        assert binary.get(c, "h[1]")[0] == pytest.approx(h, rel=1e-12)
+        assert binary.get(c, "h[1]")[0] == pytest.approx(h, rel=1e-12, abs=0.0)
 
 
 def test_invariants_are_part_of_a_saved_state(table1, binary) -> None:
@@ -77,7 +77,7 @@ def test_invariants_are_part_of_a_saved_state(table1, binary) -> None:
             assert binary.set_all(c, {"joint[1].alpha": factor * alpha}) == 0
         assert binary.step(c, 0.005, 0.005) == 0
         expected = moved(h, 0.05, 0.005, factor * alpha, beta)
-        assert binary.get(c, "h[1]")[0] == pytest.approx(expected, rel=1e-12)
+        assert binary.get(c, "h[1]")[0] == pytest.approx(expected, rel=1e-12, abs=0.0)
 
 
 def test_states_can_be_saved_with_infinite_invariants(fitted, make_model, load, tmp_path) -> None:

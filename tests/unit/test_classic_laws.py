@@ -70,7 +70,9 @@ def _bam(model: int, v: float, load: float, alpha: int = 2) -> float:
 @pytest.mark.parametrize("dq", [-0.7, -0.05, 0.05, 0.7])
 @pytest.mark.parametrize("load", [-12.0, 0.0, 12.0])
 def test_servo_friction_matches_the_models_of_bam(model: int, dq: float, load: float) -> None:
-    assert steady(f"bam_m{model}", dq, load) == pytest.approx(_bam(model, dq, load), rel=1e-12)
+    assert steady(f"bam_m{model}", dq, load) == pytest.approx(
+        _bam(model, dq, load), rel=1e-12, abs=0.0
+    )
 
 
 @pytest.mark.parametrize("alpha", [1, 2, 3])
@@ -111,7 +113,7 @@ def test_motor_and_load_weights_give_one_level_per_direction() -> None:
         base = f_c / (1.0 - way * k_m)
         tau = base + level * load
         motor = load + way * tau
-        assert tau == pytest.approx(f_c + abs(k_m * motor + k_e * load), rel=1e-12)
+        assert tau == pytest.approx(f_c + abs(k_m * motor + k_e * load), rel=1e-12, abs=0.0)
 
 
 @pytest.mark.parametrize("load", [-12.0, 0.0, 12.0])

@@ -117,11 +117,13 @@ def test_the_exact_step_solves_the_differential_equation(drive: float, rate: flo
 
 
 def test_the_exact_step_is_stable_where_euler_is_not() -> None:
-    assert relaxed(5.0, 2e6, 1e6, 0.01) == pytest.approx(2.0, rel=1e-15)
+    assert relaxed(5.0, 2e6, 1e6, 0.01) == pytest.approx(2.0, rel=1e-15, abs=0.0)
 
 
 def test_the_euler_step_is_eq_10() -> None:
-    assert relaxed(0.4, 3.0, 20.0, 0.005, "euler") == pytest.approx(0.9 * 0.4 + 0.015, rel=1e-15)
+    assert relaxed(0.4, 3.0, 20.0, 0.005, "euler") == pytest.approx(
+        0.9 * 0.4 + 0.015, rel=1e-15, abs=0.0
+    )
 
 
 @pytest.mark.parametrize(("rate", "found"), [(100.0, "1"), (250.0, "2.5")])
@@ -222,7 +224,9 @@ def test_the_first_sample_reads_the_start_of_the_states() -> None:
     assert predict(law, t=t, dq=dq)[0] == 0.25
     assert predict(law, t=t, dq=dq, start=(-0.5,))[0] == -0.5
     derivative = 10.0 * (0.0 - 0.25)
-    assert predict(with_derivative(law), t=t, dq=dq)[0] == pytest.approx(derivative, rel=1e-15)
+    assert predict(with_derivative(law), t=t, dq=dq)[0] == pytest.approx(
+        derivative, rel=1e-15, abs=0.0
+    )
 
 
 def test_missing_inputs_are_zero() -> None:
@@ -277,7 +281,9 @@ def test_a_stepper_does_not_move_in_a_zero_step() -> None:
     assert stepper.step(0.0, 0.3) == 0.25
     assert stepper.x == [0.25]
     moved = stepper.step(0.01, 0.3)
-    assert moved == pytest.approx(0.25 * np.exp(-0.1) - np.expm1(-0.1) * np.tanh(15.0), rel=1e-14)
+    assert moved == pytest.approx(
+        0.25 * np.exp(-0.1) - np.expm1(-0.1) * np.tanh(15.0), rel=1e-14, abs=0.0
+    )
     assert stepper.step(0.0, 0.3) == moved
 
 

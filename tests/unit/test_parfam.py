@@ -302,7 +302,7 @@ def test_eq_12_is_mean_square_plus_weighted_sizes() -> None:
     residual = x @ point[:4] + 2.0 * np.tanh(x @ point[5:]) - y
     expected = np.mean(residual**2) + 0.01 * np.sum(np.abs(point))
     objective = evolve.Objective("tanh", x, y, 0.01, np.ones(9, bool))
-    assert objective(point)[0] == pytest.approx(expected, rel=1e-14)
+    assert objective(point)[0] == pytest.approx(expected, rel=1e-14, abs=0.0)
 
 
 def test_the_papers_search_truncates_small_coefficients() -> None:

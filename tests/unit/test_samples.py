@@ -139,7 +139,7 @@ def test_the_worst_coefficient_is_scaled_by_its_column() -> None:
     target = np.array([-1.0, -0.2 / np.sqrt(0.75)])
     solution, cost = non_negative_least_squares(columns, target, non_negative=2)
     np.testing.assert_allclose(solution, [0.0, 0.3 / fine], rtol=1e-12)
-    assert cost == pytest.approx(target @ target - 0.3**2, rel=1e-12)
+    assert cost == pytest.approx(target @ target - 0.3**2, rel=1e-12, abs=0.0)
 
 
 def test_parts_of_one_log_are_no_folds_of_their_own() -> None:

@@ -40,7 +40,7 @@ def test_cost_and_normal_equations_follow_from_the_output(data: tuple) -> None:
     point = np.concatenate([[0.3, -0.7, 1.1], theta.ravel()])
     shrinkage = problem._shrinkage(DECAY, 11)
     np.testing.assert_array_equal(shrinkage, [0.0, *[DECAY] * 10])
-    assert problem._cost(point, shrinkage) == pytest.approx(cost(z, y, point), rel=1e-12)
+    assert problem._cost(point, shrinkage) == pytest.approx(cost(z, y, point), rel=1e-12, abs=0.0)
     gram, half = problem._normal_equations(point, shrinkage)
     slopes = jacobian(problem, point)
     np.testing.assert_allclose(gram, slopes.T @ slopes / 60 + np.diag(shrinkage), atol=1e-8)
@@ -96,7 +96,7 @@ def test_iterations_end_at_a_gain_of_a_hundred_thousandth(data: tuple) -> None:
     gains = -np.diff(costs) / costs[:-1]
     last = int(np.argmax((gains < 1e-5) & (gains > 0.0))) + 1
     assert 1 < last < 15
-    assert problem.train(start, DECAY)[1] == pytest.approx(costs[last], rel=1e-12)
+    assert problem.train(start, DECAY)[1] == pytest.approx(costs[last], rel=1e-12, abs=0.0)
 
 
 def test_each_decay_starts_at_the_end_of_the_previous_one(data: tuple) -> None:
@@ -105,7 +105,7 @@ def test_each_decay_starts_at_the_end_of_the_previous_one(data: tuple) -> None:
     point = problem.start(theta, 1e-2)
     for decay, network in zip((1e-2, 1e-4), train_path(z, y, theta, [1e-2, 1e-4]), strict=True):
         point, found = problem.train(point, decay)
-        assert network.cost == pytest.approx(found, rel=1e-12)
+        assert network.cost == pytest.approx(found, rel=1e-12, abs=0.0)
         np.testing.assert_allclose([network.bias, *network.gains], point[:3], rtol=1e-10)
         np.testing.assert_allclose(network.theta.ravel(), point[3:], rtol=1e-10)
         hidden = np.tanh(np.column_stack([np.ones(60), z]) @ network.theta)

@@ -209,7 +209,7 @@ def test_a_nonlinear_coefficient_states_the_wider_side() -> None:
 
         q, r = np.linalg.qr(rows * [slope, 1.0])
         found = measure_wider_side(first, covariance, q, r, moved)
-        assert found == pytest.approx(wanted, rel=1e-12)
+        assert found == pytest.approx(wanted, rel=1e-12, abs=0.0)
     # If the law is undefined on one side, the other counts; the width is limited to four times.
     q, r = np.linalg.qr(rows)
     undefined = measure_wider_side(
@@ -271,7 +271,9 @@ def test_joints_share_differences_between_logs() -> None:
         assert law_.covariance is not None
         assert law_.covariance.factor == pytest.approx(np.sqrt(5.0))
         for name, error in one.standard_errors.items():
-            assert law_.standard_errors[name] == pytest.approx(np.sqrt(5.0) * error, rel=1e-12)
+            assert law_.standard_errors[name] == pytest.approx(
+                np.sqrt(5.0) * error, rel=1e-12, abs=0.0
+            )
 
 
 def test_network_coefficients_have_no_errors() -> None:

@@ -67,8 +67,8 @@ def test_start_values_in_other_units_are_converted(edited: Edit) -> None:
     path = edited({A: list(MS), SSD: [("<ssd:Elements>", inline)]})
     with open_system(path) as spec:
         assert [dict(c.start) for c in spec.components] == [
-            {"u": 2.0, "T": pytest.approx(0.5, rel=1e-15), "x_start": 0.25},
-            {"T": pytest.approx(0.5, rel=1e-15)},
+            {"u": 2.0, "T": pytest.approx(0.5, rel=1e-15, abs=0.0), "x_start": 0.25},
+            {"T": pytest.approx(0.5, rel=1e-15, abs=0.0)},
         ]
 
 
@@ -101,7 +101,7 @@ def test_a_number_is_in_the_unit_of_its_variable(
         variable("x", "parameter", unit=unit, relativeQuantity=relative), units=UNITS
     )
     found = convert_to_unit(Variables(Path("F.fmu"), about), "x", given, of, "x")
-    assert found == pytest.approx(value, rel=1e-12)
+    assert found == pytest.approx(value, rel=1e-12, abs=0.0)
 
 
 def test_a_number_of_an_undefined_unit_stays_with_a_warning(

@@ -31,7 +31,7 @@ def test_hints_become_multiples(
 ) -> None:
     with caplog.at_level(logging.WARNING):
         fitted = fit_hint(hint, 0.1, "x")
-    assert fitted == (None if step_size is None else pytest.approx(step_size, rel=1e-12))
+    assert fitted == (None if step_size is None else pytest.approx(step_size, rel=1e-12, abs=0.0))
     assert ("[step-hint]" in caplog.text) == is_changed
 
 

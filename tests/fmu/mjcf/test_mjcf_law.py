@@ -110,7 +110,7 @@ def test_defaults_of_the_robot_are_overridden(lugre, tmp_path):
     data.qvel[0] = 100.0
     mujoco.mj_forward(model, data)
     # Bristles at rest have only micro-damping.
-    assert data.actuator_force[0] == pytest.approx(-150.0, rel=1e-14)
+    assert data.actuator_force[0] == pytest.approx(-150.0, rel=1e-14, abs=0.0)
 
 
 def test_the_file_states_its_origin(lugre, tmp_path):
