@@ -61,12 +61,13 @@ def test_a_race_is_won_by_more_than_its_scatter() -> None:
 
 
 def test_the_error_of_a_gain_is_the_scatter_of_blocks() -> None:
-    """Of three rows each is a block, whose gains 1/4, 1/8 and 3/8 are of 1/4, 1/4 and 1/2."""
+    """Of three rows each is a block, whose gains 0.25, 0.2 and 0.25 are of 0.25, 0.25 and 0.5."""
     few = Race(
-        rival="nothing", rival_squares=np.array([1.0, 1.0, 2.0]), squares=np.array([0.0, 0.5, 0.5])
+        rival="nothing", rival_squares=np.array([1.0, 1.0, 2.0]), squares=np.array([0.0, 0.2, 1.0])
     )
-    assert few.gain.value == pytest.approx(0.75)
-    assert few.gain.error == pytest.approx(np.sqrt(2.0 * 0.0625**2 * 3.0 / 2.0))
+    scatter = np.array([0.25, 0.2, 0.25]) - 0.7 * np.array([0.25, 0.25, 0.5])
+    assert few.gain.value == pytest.approx(0.7)
+    assert few.gain.error == pytest.approx(np.sqrt(np.sum(scatter**2) * 3.0 / 2.0))
 
 
 def test_a_statistic_lies_outside_its_range_by_more_than_its_error() -> None:
