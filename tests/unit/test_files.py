@@ -60,6 +60,26 @@ def test_a_file_replaces_an_existing_one(tmp_path: Path) -> None:
     assert everything_in(tmp_path) == {"law.json": "new"}
 
 
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="needs the names of open files")
+def test_a_file_is_on_the_disk_before_it_replaces_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After a power failure there is the old file or the new one, but no empty one."""
+    path = tmp_path / "law.json"
+    path.write_text("old")
+    synced: list[tuple[Path, str]] = []
+    fsync = os.fsync
+
+    def follow(handle: int) -> None:
+        synced.append((Path(f"/proc/self/fd/{handle}").readlink(), path.read_text()))
+        fsync(handle)
+
+    monkeypatch.setattr(os, "fsync", follow)
+    with written_whole(path) as temporary:
+        temporary.write_text("new")
+    assert synced == [(temporary, "old"), (tmp_path, "new")]
+
+
 def test_a_file_has_the_default_mode(tmp_path: Path) -> None:
     ordinary = tmp_path / "ordinary"
     ordinary.write_text("")
