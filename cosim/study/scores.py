@@ -416,11 +416,8 @@ def _compare_to_rivals(error_table: LawErrors, law_name: str, ranked: Sequence[s
     rival_ratios = error_table.adjust({rival: ratios[rival] for rival in rivals})
     alike = [rival for rival in rivals if rival_ratios[rival].verdict == "alike"]
     better = [rival for rival in rivals if rival_ratios[rival].verdict == "better"]
-    by_detectable = sorted(
-        (ratio, rival)
-        for rival in alike or rivals
-        if (ratio := rival_ratios[rival].detectable) is not None
-    )
+    candidates = [(rival_ratios[rival].detectable, rival) for rival in alike or rivals]
+    by_detectable = sorted((ratio, rival) for ratio, rival in candidates if ratio is not None)
     middle_rival = rivals[0]
     detectable = None
     if by_detectable:

@@ -106,14 +106,13 @@ def _find_records(data: Any) -> Records:
     if not longest:
         raise ValueError("no lists")
     records, used_names = _choose_records(longest)
-    others = []
-    for name, value in values_by_name.items():
+    other_names = []
+    for name in values_by_name:
         if name in used_names:
             continue
-        if name in columns:
-            name = f"{name} ({len(value)} entries)"
-        others.append(name)
-    return records, others
+        size = f" ({len(columns[name])} entries)" if name in columns else ""
+        other_names.append(f"{name}{size}")
+    return records, other_names
 
 
 def _choose_records(

@@ -348,11 +348,14 @@ def test_inputs_off_the_grid_have_their_own_rows(typed_fmu: Path, tmp_path: Path
     assert found.signals["io"].tolist() == [0, 1, 1, 2, 2, 2]
 
 
+WITHOUT_CO_SIMULATION = (r"<CoSimulation [^>]*(/>|>.*?</CoSimulation>)", "")
+"""A change of the description that leaves model exchange only."""
+
+
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_models_follow_inputs_between_rows(fmi: Any, tmp_path: Path) -> None:
     """u = t gives x = t - T + (x_0 + T) exp(-t / T)."""
-    only = (r"<CoSimulation [^>]*(/>|>.*?</CoSimulation>)", "")
-    model = edited(lag(tmp_path, fmi), tmp_path / "Model.fmu", only)
+    model = edited(lag(tmp_path, fmi), tmp_path / "Model.fmu", WITHOUT_CO_SIMULATION)
     table = tmp_path / "in.csv"
     table.write_text("time,u\n0,0\n1,1\n", encoding="utf-8")
     found = hesr.simulate(model, stop=1.0, step=0.25, input=table)
@@ -365,7 +368,7 @@ ENDLESS = {
     "info->nextEventTime = instance->memory.component.time + 1e-9;": "more than 10000 events",
     "info->newDiscreteStatesNeeded = fmi2True;": "iteration of its events",
 }
-"""Changes of C sources by which events never end, and what is said."""
+"""Changes of C sources that make events endless, with words of the refusal."""
 
 
 @pytest.mark.ci
@@ -376,8 +379,7 @@ def test_a_model_whose_events_never_end_is_refused(
     cleared = "memset(info, 0, sizeof *info);"
     changes = {"fmi2_continuous.c": ((cleared, cleared + added),)}
     whole = rebuild(lag_fmu, changes, tmp_path / "Whole.fmu")
-    only = (r"<CoSimulation [^>]*(/>|>.*?</CoSimulation>)", "")
-    fmu = edited(whole, tmp_path / "Endless.fmu", only)
+    fmu = edited(whole, tmp_path / "Endless.fmu", WITHOUT_CO_SIMULATION)
     with pytest.raises(SimulationError, match=ENDLESS[added]):
         hesr.simulate(fmu, stop=1.0, step=0.25).require_success()
 

@@ -16,7 +16,7 @@ JOINT = """<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2
 
 @pytest.fixture
 def model(tmp_path: Path) -> Path:
-    """Two joints of an arm, and a finger beside the second link's."""
+    """Three joints of an arm, and a finger that branches off its upper link."""
     parts = [LINK.format(name) for name in ("base", "upper", "lower", "hand", "finger")]
     parts += [
         JOINT.format("j1", "base", "upper"),
